@@ -66,12 +66,18 @@ fn matrix(format: WeightFormat, [outputs, inputs]: [usize; 2], random: &mut Pcg6
         WeightFormat::Q5_0 => (22, &[0]),
         WeightFormat::Q4_1 => (20, &[0, 2]),
         WeightFormat::Q4K => (144, &[0, 2]),
-        WeightFormat::Q4_0 => (18, &[0]),
+        WeightFormat::Q4_0 | WeightFormat::Iq4Nl => (18, &[0]),
+        WeightFormat::Iq4Xs => (136, &[0]),
+        WeightFormat::Mxfp4 => (17, &[]),
         WeightFormat::Q3K => (110, &[108]),
     };
     let per_block = match format {
         WeightFormat::F32 | WeightFormat::F16 => 1,
-        WeightFormat::Q6K | WeightFormat::Q5K | WeightFormat::Q4K | WeightFormat::Q3K => 256,
+        WeightFormat::Q6K
+        | WeightFormat::Q5K
+        | WeightFormat::Q4K
+        | WeightFormat::Q3K
+        | WeightFormat::Iq4Xs => 256,
         _ => 32,
     };
     let mut bytes = vec![0; outputs * inputs / per_block * size];

@@ -1,6 +1,7 @@
 //! The `planagent` program; everything lives in the crate of the command line.
 
 use mimalloc::MiMalloc;
+use planagent_cli::MAX_THREADS;
 
 /// Tensors of a pass come and go by megabytes, and glibc gives each back to the system: page faults
 /// would take a good part of the time of a long prompt.
@@ -21,6 +22,6 @@ fn name_threads() {
         && let Ok(threads) = std::thread::available_parallelism()
     {
         // SAFETY: `main` calls this first, so no other thread can read the environment meanwhile.
-        unsafe { std::env::set_var(THREADS, threads.to_string()) }
+        unsafe { std::env::set_var(THREADS, threads.get().min(MAX_THREADS).to_string()) }
     }
 }

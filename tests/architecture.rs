@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 15] = [
+const RANKS: [(&str, u8); 16] = [
     ("files", 0),
     ("child", 0),
     ("kernels", 0),
@@ -19,9 +19,10 @@ const RANKS: [(&str, u8); 15] = [
     ("agent", 6),
     ("controls", 7),
     ("learned", 7),
-    ("planners", 8),
-    ("api", 9),
-    ("runs", 9),
+    ("language_agents", 8),
+    ("planners", 9),
+    ("api", 10),
+    ("runs", 10),
     ("lab", 12),
     ("cli", 13),
 ];
@@ -80,7 +81,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["endpoint", "family"],
             &["template_format"],
             &["tiled"],
-            &["cogvlm", "internvl", "llava", "qwen3_vl", "smolvlm"],
+            &[
+                "cogvlm",
+                "internvl",
+                "llava",
+                "qwen3_vl",
+                "smolvlm",
+                "text_only",
+            ],
             &["llava_next", "qwen2_5_vl"],
             &["families"],
             &["source"],
@@ -96,7 +104,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["rank_correlation", "study"],
             &["bench", "dataset", "tokens"],
-            &["realism", "twins"],
+            &["memory", "realism", "twins"],
             &["report"],
             &["study_runs"],
         ],
@@ -161,7 +169,7 @@ const WRITERS: [&str; 8] = [
     "src/cli/",
     "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",
-    "src/scenario/nuplan/export/",
+    "src/files/whole_folder.rs",
 ];
 
 /// Files that hold nothing but unit tests or what only these use.

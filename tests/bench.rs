@@ -25,6 +25,22 @@ fn bench(arguments: &[&str], out: &Path) -> (i32, Value) {
 }
 
 #[test]
+fn a_model_of_a_server_is_refused_before_any_is_measured() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("bench");
+    let said = refused(&[
+        "bench",
+        "nano",
+        "http://127.0.0.1:9/v1",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert!(said.contains("models in this process"), "{said}");
+    assert!(said.contains("planagent models check"), "{said}");
+    assert!(!out.exists());
+}
+
+#[test]
 fn a_model_is_measured_by_its_steps() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");

@@ -19,7 +19,10 @@ SHOWN = 80
 
 def wrong(name: str, value: object, expected: str) -> ArgumentError:
     """The error of an argument."""
-    shown = repr(value)
+    try:
+        shown = repr(value)
+    except Exception:
+        shown = f"a {type(value).__name__} that cannot be shown"
     if len(shown) > SHOWN:
         shown = shown[: SHOWN - 3] + "..."
     return ArgumentError(f"{name} is {shown}; {expected}")
@@ -63,7 +66,16 @@ def text(name: str, value: Any) -> str:
     """A text."""
     if not isinstance(value, str):
         raise wrong(name, value, "expected a text")
-    return str(value)
+    return unicode(name, str(value))
+
+
+def unicode(name: str, value: str) -> str:
+    """A text without halves of characters, which names of files that are no UTF-8 have."""
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise wrong(name, value, "it is no text of Unicode") from None
+    return value
 
 
 def path(name: str, value: Any) -> str:
@@ -95,7 +107,7 @@ def many(name: str, value: Any, kind: type | tuple[type, ...], expected: str) ->
 
 def texts(name: str, value: Any) -> list[str]:
     """One text or several."""
-    return [str(one) for one in many(name, value, str, "a text")]
+    return [unicode(name, str(one)) for one in many(name, value, str, "a text")]
 
 
 def callback(name: str, value: Any) -> bool | Callable[[Any], Any]:

@@ -62,7 +62,12 @@ def poses(values: ArrayLike, dimensions: int = 2) -> NDArray[np.float64]:
         Number of dimensions that the array must have.
     """
     try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
+        given = np.asanyarray(values)
+        if given.dtype.kind not in "fiuO" or values is None:
+            raise TypeError(f"it is {'None' if values is None else f'of type {given.dtype}'}")
+        if np.ma.is_masked(given):
+            raise TypeError("some of its numbers are masked")
+        array = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"expected an array of poses (x, y, heading), got what is no array of numbers: {error}") from None
     if array.ndim != dimensions or array.shape[-1] != 3 or 0 in array.shape:

@@ -20,6 +20,10 @@ from .errors import ArgumentError
 __all__ = ["Answer", "Model"]
 
 
+#: Most tokens of an answer that can be asked for; the model's context ends it before.
+MAX_TOKENS = 2**31 - 1
+
+
 @dataclass(frozen=True)
 class Answer:
     """An answer of a model.
@@ -94,10 +98,10 @@ class Model:
             raise wrong("name", name, "expected the name of a model")
         if adapter is not None and not isinstance(adapter, (str, os.PathLike)):
             raise wrong("adapter", adapter, "expected the path of an adapter")
-        name = os.fspath(name)
-        adapter = None if adapter is None else os.fspath(adapter)
-        self._arguments = (name, adapter, None if settings is None else dict(settings))
+        name = arguments.text("name", os.fspath(name))
+        adapter = None if adapter is None else arguments.text("adapter", os.fspath(adapter))
         self._native = _core.Model(settings_json(settings, mllm__model=name, mllm__adapter=adapter))
+        self._arguments = (name, adapter, None if settings is None else dict(settings))
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
         return _model, self._arguments
@@ -110,7 +114,7 @@ class Model:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Name, architecture, size, and the side of its pictures (`image_size`)."""
+        """Name, architecture, size, and the side of its pictures (`image_size`; `None` where it reads text alone)."""
         about: dict[str, Any] = json.loads(self._native.about())
         return about
 
@@ -174,9 +178,11 @@ class Model:
         wanted = None if choices is None else arguments.texts("choices", choices)
         if wanted is not None and not wanted:
             raise wrong("choices", choices, "there is nothing to choose from")
+        if wanted is not None and "" in wanted:
+            raise wrong("choices", choices, "one of them is empty")
         asked = {
             "system": arguments.text("system", system),
-            "max_tokens": whole("max_tokens", max_tokens, 1),
+            "max_tokens": whole("max_tokens", max_tokens, 1, MAX_TOKENS),
             "choices": wanted,
             "regex": None if regex is None else arguments.text("regex", regex),
             "deadline_s": None if deadline_s is None else real("deadline_s", deadline_s, 0.0, above=True),

@@ -20,6 +20,13 @@ __all__ = ["EgoState", "Lane", "Observation", "Sample", "Trajectory", "Trajector
 MAX_PIXELS = 2**32 - 1
 
 
+def _microseconds(name: str, value: Any) -> int:
+    """A time; a number with a point has none behind it."""
+    if isinstance(value, (float, np.floating)) and float(value).is_integer():
+        value = int(value)
+    return whole(name, value, -(2**63), 2**63 - 1)
+
+
 class EgoState(NamedTuple):
     """State of the ego, referred to its rear axle.
 
@@ -155,7 +162,8 @@ class Trajectory:
 
     def __init__(self, poses: ArrayLike, times_us: Sequence[int]) -> None:
         packed = _arrays.poses(poses).tobytes()
-        self._native = _core.Trajectory.of_times([int(time) for time in times_us], packed)
+        times = [_microseconds(f"times_us[{i}]", time) for i, time in enumerate(times_us)]
+        self._native = _core.Trajectory.of_times(times, packed)
 
     @classmethod
     def _of(cls, native: _core.Trajectory) -> Trajectory:
@@ -198,7 +206,7 @@ class Trajectory:
         >>> planagent.Trajectory([[0, 0, 0], [2, 0, 0]], [0, 200_000]).at(100_000)
         array([1., 0., 0.])
         """
-        pose: NDArray[np.float64] = _arrays.unpacked(self._native.at(int(time_us)), 3)[0].copy()
+        pose: NDArray[np.float64] = _arrays.unpacked(self._native.at(_microseconds("time_us", time_us)), 3)[0].copy()
         return pose
 
 

@@ -157,6 +157,9 @@ def _is_of_instances(kind: type, plan: Any) -> bool:
 
 def _check_call(function: Any, what: str, arguments: int) -> None:
     """Refuses what cannot be called with so many arguments, where its signature is known."""
+    kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
+    if any(is_of_kind(function) for is_of_kind in kinds):
+        raise _no_planner(function, f"{what} is a coroutine or a generator, and a plan is returned")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
@@ -311,6 +314,7 @@ class Agent:
         model = None if model is None else text("model", os.fspath(model) if isinstance(model, os.PathLike) else model)
         seed = None if seed is None else whole("seed", seed, 0, 2**63 - 1)
         text("planner", planner)
+        merged = settings_json(settings, seed=seed, mllm__model=model)
         self._arguments = {
             "model": model,
             "planner": planner,
@@ -318,7 +322,6 @@ class Agent:
             "settings": None if settings is None else dict(settings),
             "scenario": scenario,
         }
-        merged = settings_json(settings, seed=seed, mllm__model=model)
         self._native = _core.Planner(planner, merged, None if scenario is None else scenario._native)
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
@@ -52,20 +53,18 @@ class _Line:
     def __call__(self, progress: Progress) -> None:
         for note in progress.notes:
             self._write(note)
-            self._out.write("\n")
+            _put(self._out, "\n")
             self._width = 0
         self._write(_said(progress))
 
     def _write(self, text: str) -> None:
-        self._out.write("\r" + text + " " * max(0, self._width - len(text)))
-        self._out.flush()
+        _put(self._out, "\r" + text + " " * max(0, self._width - len(text)))
         self._width = len(text)
 
     def end(self) -> None:
         """Ends the line."""
         if self._width:
-            self._out.write("\n")
-            self._out.flush()
+            _put(self._out, "\n")
 
 
 class _Lines:
@@ -89,8 +88,7 @@ class _Lines:
         self._said_at, self._shown = now, progress.done
 
     def _write(self, text: str) -> None:
-        self._out.write(text + "\n")
-        self._out.flush()
+        _put(self._out, text + "\n")
 
     def end(self) -> None:
         """Says how far the run got."""
@@ -98,9 +96,24 @@ class _Lines:
             self._say(self._last, time.monotonic())
 
 
+def _put(out: TextIO, text: str) -> None:
+    """Writes at once. A stderr that is full, closed or without a reader is no reason to stop a run."""
+    with contextlib.suppress(OSError, ValueError):
+        out.write(text)
+        out.flush()
+
+
 def _said(progress: Progress) -> str:
     failed = f", {progress.failed} failed" if progress.failed else ""
     return f"{progress.done} of {progress.total} simulations{failed}"
+
+
+def _is_terminal(out: TextIO) -> bool:
+    try:
+        return out.isatty()
+    except (OSError, ValueError):
+        # It is closed.
+        return False
 
 
 def printer_of(is_shown: bool) -> tuple[Callable[[Progress], None] | None, Callable[[], None]]:
@@ -109,5 +122,5 @@ def printer_of(is_shown: bool) -> tuple[Callable[[Progress], None] | None, Calla
     if not is_shown or out is None:
         return None, lambda: None
     is_notebook = type(out).__module__.startswith("ipykernel")
-    printer = _Line(out) if is_notebook or out.isatty() else _Lines(out)
+    printer = _Line(out) if is_notebook or _is_terminal(out) else _Lines(out)
     return printer, printer.end

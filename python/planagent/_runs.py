@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from . import _core, _threads
-from ._arguments import callback, many, path, real, text, texts, truth, whole, wrong
+from ._arguments import callback, many, path, real, text, texts, truth, unicode, whole, wrong
 from ._planners import Bound, as_factory, is_planner, name_of, settings_json
 from ._progress import Progress, printer_of
 from ._results import Results
@@ -46,7 +46,7 @@ def _words(values: Any) -> list[str]:
                 raise ArgumentError(f"the scenario {value.id} has no name; a run needs names. Use Simulation, or export_nuplan")
             words.append(value.name)
         else:
-            words.append(os.fspath(value))
+            words.append(unicode("scenarios", os.fspath(value)))
     return words
 
 
@@ -118,7 +118,8 @@ def simulate(
     Parameters
     ----------
     scenarios
-        Names as `open` takes them, folders, or scenarios that `open` gave; one or several. Without any, and without splits, the scene
+        Names as `open` takes them, folders, or scenarios that `open` gave; one or several. Each is simulated once, however often it is
+        named. Without any, and without splits, the scene
         `generated/changing_lane/2`.
     planners
         Names of `planners()`, commands (`exec:COMMAND`), and planners of your own (see `Planner`), also those of nuplan-devkit;
@@ -390,6 +391,8 @@ def _waited(folder: str, is_resumed: bool, progress: Any, stop: Any, asked: _Ask
             if is_over:
                 break
             if stop is not None and stop.is_set():
+                if not_kept is not None:
+                    raise RunStoppedError("the run was stopped, and its files were not kept; with a folder by out, planagent.resume simulates the rest")
                 raise RunStoppedError(f"the run in {folder} was stopped; planagent.resume simulates the rest")
         results = Results(run.result(), not_kept is None, tracebacks)
     except BaseException as error:
@@ -397,7 +400,7 @@ def _waited(folder: str, is_resumed: bool, progress: Any, stop: Any, asked: _Ask
             run.stop()
         _until_over(run)
         with contextlib.suppress(AttributeError, TypeError):
-            error.results = _so_far(folder, not_kept is None, tracebacks)  # type: ignore[attr-defined]
+            error.results = _so_far(run, folder, not_kept is None, tracebacks)  # type: ignore[attr-defined]
         raise
     finally:
         _running.discard(run)
@@ -413,10 +416,10 @@ def _until_over(run: _core.Run) -> None:
         pass
 
 
-def _so_far(folder: str, is_kept: bool, tracebacks: dict[str, str]) -> Results | None:
+def _so_far(run: _core.Run, folder: str, is_kept: bool, tracebacks: dict[str, str]) -> Results | None:
     """What a stopped run has completed."""
     try:
-        return Results(_core.read_run(folder), is_kept, tracebacks)
+        return Results(run.so_far() or _core.read_run(folder), is_kept, tracebacks)
     except Exception:
         # It had not begun.
         return None

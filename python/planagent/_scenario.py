@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _arrays, _core
-from ._arguments import path, real, truth, whole, wrong
+from ._arguments import path, real, truth, unicode, whole, wrong
 from ._observation import Lane, Observation
 from .errors import ScenarioError
 
@@ -234,7 +234,7 @@ def open(name: str | os.PathLike[str]) -> Scenario:
 def _word(name: Any) -> str:
     if not isinstance(name, (str, os.PathLike)):
         raise wrong("name", name, "expected the name of a scenario")
-    return os.fspath(name)
+    return unicode("name", os.fspath(name))
 
 
 def opened(argument: str, scenario: Any) -> Scenario:

@@ -99,7 +99,13 @@ const WORDS: &[(&str, &str)] = &[
     ("--challenge", "challenge"),
     ("--type", "types"),
     ("--quantize", "the setting mllm.quantize"),
-    ("--trust-model", "the setting mllm.trust"),
+    ("--trust-model or `trusted = true`", "`trusted = true`"),
+    (
+        "AgentBuilder::trust_model does, or `trusted = true` in the model's description",
+        "`trusted = true` in the model's description does",
+    ),
+    ("(--prompt-set)", "by the setting reasoning.prompt_set"),
+    ("--prompt-set", "the setting reasoning.prompt_set"),
     ("--context", "the setting mllm.context"),
     ("--ignore-memory", "the setting mllm.ignore_memory"),
 ];

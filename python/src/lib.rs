@@ -72,6 +72,7 @@ mod _core {
         if let Some(commit) = option_env!("PLANAGENT_COMMIT") {
             planagent_runs::runner::set_build_commit(commit);
         }
+        crate::command::remember_interpreter(module.py())?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

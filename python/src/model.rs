@@ -5,7 +5,7 @@ use crate::settings::{config, model};
 use crate::work::{computed, long, quick};
 use image::RgbImage;
 use planagent::runs::Config;
-use planagent_mllm::{Constraint, Deadline, PromptPrefix, Request as Question};
+use planagent_mllm::{Constraint, Deadline, MllmError, PromptPrefix, Request as Question};
 use planagent_runs::runner::LoadedModel;
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -42,6 +42,25 @@ impl Asked {
             (Some(_), Some(_)) => Err(Failure::argument(
                 "an answer has choices or a regex; leave one of them out",
             )),
+        }
+    }
+
+    /// An error of the model, by the argument that it comes from.
+    fn failure(&self, error: MllmError) -> Failure {
+        match (&error, self.deadline_s) {
+            (MllmError::Deadline, Some(seconds)) => Failure::new(
+                "ModelError",
+                format!("there was no answer within {seconds} s; raise deadline_s"),
+            ),
+            (MllmError::Grammar { problem, .. }, _) => {
+                let name = if self.regex.is_some() {
+                    "regex"
+                } else {
+                    "choices"
+                };
+                Failure::argument(format!("{name} cannot be used: {problem}"))
+            }
+            _ => error.into(),
         }
     }
 
@@ -124,7 +143,8 @@ impl Model {
                 image,
             };
             let mut conversation = model.converse(&prefix, asked.seed.unwrap_or(config_seed))?;
-            let answer = conversation.ask(&text, &question)?;
+            let answer = conversation.ask(&text, &question);
+            let answer = answer.map_err(|error| asked.failure(error))?;
             let json = |value: serde_json::Result<String>| {
                 value.map_err(|error| Failure::panic(error.to_string()))
             };

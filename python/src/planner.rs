@@ -12,6 +12,7 @@ use planagent::planning::{
 };
 use planagent::road::LaneMap;
 use planagent_runs::report::CallRecord;
+use planagent_runs::runner::silent;
 use planagent_runs::worker::run::{AgentParts, with_causes};
 use pyo3::prelude::*;
 use std::sync::{Arc, Mutex};
@@ -64,7 +65,7 @@ fn parts(name: &str, settings: &str) -> Outcome<AgentParts> {
         )));
     }
     if entry.needs_model() {
-        return Ok(model(&config)?.agent_parts(&config));
+        return Ok(model(&config)?.agent_parts(&config, &silent())?);
     }
     Ok(AgentParts {
         settings: agent_settings,

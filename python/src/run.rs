@@ -1,10 +1,11 @@
 //! Runs of many simulations.
 
+use crate::command::trial;
 use crate::errors::{Failure, Outcome, Raise};
 use crate::interrupts::Interrupts;
 use crate::python_planner::entry;
 use crate::relay::{Question, Relay};
-use crate::run_results::RunResults;
+use crate::run_results::{RunResults, completed};
 use crate::settings::{config, shared_model};
 use crate::trajectory::Trajectory;
 use crate::work::{POLL, guarded, lock, own_pool, spawned};
@@ -95,6 +96,8 @@ struct News {
     /// Seats that need a thread of Python.
     seats: Vec<usize>,
     ended: Option<Outcome<RunResults>>,
+    /// What was completed of a run that was stopped and whose files are not kept.
+    so_far: Option<RunResults>,
     is_over: bool,
 }
 
@@ -109,6 +112,7 @@ impl Progress {
                 self.done.fetch_add(1, Ordering::Relaxed);
             }
             Event::Note(note) => lock(&self.news).notes.push(note),
+            Event::SimulationFailed { failure } => lock(&self.news).notes.push(failure),
             Event::CallFailed(call) => lock(&self.news).notes.push(call.to_string()),
             _ => {}
         }
@@ -119,9 +123,9 @@ impl Progress {
         self.changed.notify_all();
     }
 
-    fn end(&self, outcome: Outcome<RunResults>) {
+    fn end(&self, outcome: Outcome<RunResults>, so_far: Option<RunResults>) {
         let mut news = lock(&self.news);
-        (news.ended, news.is_over) = (Some(outcome), true);
+        (news.ended, news.so_far, news.is_over) = (Some(outcome), so_far, true);
         self.changed.notify_all();
     }
 }
@@ -197,10 +201,11 @@ impl Run {
                         }
                         registry = registry.with(entry(name, number, Arc::clone(&questions)));
                     }
-                    let config = match (&asked.settings, is_resumed) {
+                    let mut config = match (&asked.settings, is_resumed) {
                         (None, true) => Config::of_run(&folder)?,
                         (settings, _) => config(settings.as_deref().unwrap_or("{}"))?,
                     };
+                    config.mllm.trust = trial();
                     let request = asked.request(registry, &stop)?;
                     let finished = if is_resumed {
                         resume(&folder, &request, &config, &listener)
@@ -213,12 +218,15 @@ impl Run {
             });
             questions.close();
             // Who was interrupted has removed the folder, and it may have been written since.
+            let mut so_far = None;
             if stop.is_stopped()
-                && let Some(folder) = not_kept
+                && let Some(temporary) = not_kept
             {
-                let _ = std::fs::remove_dir_all(folder);
+                // A run that had not begun has completed nothing.
+                so_far = completed(folder).ok();
+                let _ = std::fs::remove_dir_all(temporary);
             }
-            hearing.end(outcome);
+            hearing.end(outcome, so_far);
         };
         spawned(work).or_raise(py)?;
         Ok(Self {
@@ -270,6 +278,11 @@ impl Run {
     #[getter]
     fn is_stopped(&self) -> bool {
         self.switch.is_stopped()
+    }
+
+    /// What was completed of a run that was stopped and whose files are not kept, once it is over.
+    fn so_far(&self, py: Python<'_>) -> Option<RunResults> {
+        py.detach(|| lock(&self.progress.news).so_far.take())
     }
 
     /// The results of a run that is over, once.

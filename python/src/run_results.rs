@@ -1,6 +1,6 @@
 //! Results of runs, and what reads or joins the folders of runs.
 
-use crate::errors::Failure;
+use crate::errors::{Failure, Outcome};
 use crate::table::Table;
 use crate::work::{computed, long, quick};
 use planagent::runs::RunResults as Finished;
@@ -102,23 +102,25 @@ fn of_report(error: ReportError) -> Failure {
 }
 
 /// What is completed of the run in a folder.
+pub(crate) fn completed(folder: PathBuf) -> Outcome<RunResults> {
+    let manifest = RunFolder::manifest(&folder).map_err(of_report)?;
+    let rows = RunFolder::read_completed(&folder).map_err(of_report)?.rows;
+    let lists = &manifest.scenarios.missing;
+    Ok(RunResults {
+        missing: lists
+            .iter()
+            .map(|missing| missing.absent.len() + missing.excluded.len())
+            .sum(),
+        total: manifest.simulations(),
+        rows: Arc::new(rows),
+        folder,
+    })
+}
+
+/// What is completed of the run in a folder.
 #[pyfunction]
 pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<RunResults> {
-    let work = move || {
-        let manifest = RunFolder::manifest(&folder).map_err(of_report)?;
-        let rows = RunFolder::read_completed(&folder).map_err(of_report)?.rows;
-        let lists = &manifest.scenarios.missing;
-        Ok(RunResults {
-            missing: lists
-                .iter()
-                .map(|missing| missing.absent.len() + missing.excluded.len())
-                .sum(),
-            total: manifest.simulations(),
-            rows: Arc::new(rows),
-            folder,
-        })
-    };
-    long(py, || computed(work), &|| ())
+    long(py, || computed(|| completed(folder)), &|| ())
 }
 
 /// Merges the shards of a run into a new folder.

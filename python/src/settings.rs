@@ -1,11 +1,15 @@
 //! Settings of Python as configurations, and loaded models, kept once a process.
 
+use crate::command::trial;
 use crate::errors::{Failure, Outcome};
 use crate::work::{computed, lock};
-use planagent::runs::{Config, Listener};
+use planagent::runs::{Config, Event, Listener};
 use planagent_mllm::offline_variable;
 use planagent_runs::runner::{LoadedModel, RunnerError, load_model, silent};
+use pyo3::exceptions::PyUserWarning;
+use pyo3::prelude::*;
 use std::collections::HashMap;
+use std::ffi::CString;
 use std::process;
 use std::sync::{Arc, Mutex, MutexGuard};
 
@@ -16,6 +20,7 @@ pub(crate) fn config(settings: &str) -> Outcome<Config> {
         .map_err(|error| invalid(format!("the settings: {error}")))?;
     let mut config = Config::default();
     config.mllm.offline = offline_variable().is_some();
+    config.mllm.trust = trial();
     config
         .overlaid(&table)
         .map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
@@ -51,11 +56,22 @@ fn slot(key: String) -> Slot {
     slot
 }
 
-/// The configured model with its prompts. It is loaded at its first use in a process.
+/// The configured model with its prompts. It is loaded at its first use in a process. What is odd
+/// in the answers of a server is a warning.
 pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
     let loaded = load(config, &silent(), |load| computed(|| Ok(load()?)))?;
-    loaded.probe(config, &silent())?;
+    loaded.probe(config, &warnings())?;
     Ok(loaded)
+}
+
+/// Raises notes as warnings of Python.
+fn warnings() -> Listener {
+    Arc::new(|event| {
+        let Event::Note(text) = event else { return };
+        let Ok(text) = CString::new(text) else { return };
+        // Where warnings are exceptions, the model is of use all the same.
+        let _ = Python::attach(|py| PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1));
+    })
 }
 
 /// As [`model`], for runs; a listener hears of the loading. Not for threads of the common pool:

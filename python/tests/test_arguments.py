@@ -22,7 +22,18 @@ def observation():
     return planagent.open(SCENE).observe()
 
 
+def generator(observation):
+    yield observation.code()
+
+
+async def coroutine(observation):
+    return observation.code()
+
+
 SIMULATE = [
+    ({"planners": generator}, "a coroutine or a generator"),
+    ({"planners": coroutine}, "a coroutine or a generator"),
+    ({"scenarios": "\udcff"}, "no text of Unicode"),
     ({"scenarios": []}, "scenarios is"),
     ({"scenarios": iter(())}, "scenarios is"),
     ({"scenarios": 3}, "scenarios is 3"),
@@ -70,6 +81,11 @@ def test_a_wrong_argument_of_a_run_is_named(arguments, said, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+class Unshown:
+    def __repr__(self):
+        raise LookupError
+
+
 CALLS = {
     "lanes": (lambda o: o.lanes(-50.0), "within_m is -50"),
     "lanes of nan": (lambda o: o.lanes(math.nan), "within_m is nan"),
@@ -101,6 +117,20 @@ CALLS = {
     "choice": (lambda o: planagent.Model().ask(None, "q", choices=["a", 1]), r"choices\[1\] is 1"),
     "deadline": (lambda o: planagent.Model().ask(None, "q", deadline_s=math.nan), "deadline_s is nan"),
     "merge": (lambda o: planagent.merge(3, "x"), "runs is 3"),
+    "complex": (lambda o: o.trajectory(np.zeros((9, 3), complex)), "complex"),
+    "texts": (lambda o: o.trajectory(np.full((9, 3), "1")), "of type <U1"),
+    "masked": (lambda o: o.trajectory(np.ma.masked_array(np.zeros((9, 3)), mask=True)), "masked"),
+    "no poses": (lambda o: o.trajectory(None), "it is None"),
+    "half a microsecond": (lambda o: planagent.Trajectory(np.zeros((2, 3)), [0, 0.5]), r"times_us\[1\] is 0.5"),
+    "late": (lambda o: planagent.Trajectory(np.zeros((2, 3)), [0, 2**70]), r"times_us\[1\] is 11805"),
+    "never": (lambda o: planagent.Trajectory(np.zeros((2, 3)), [0, 9]).at(math.nan), "time_us is nan"),
+    "settings": (lambda o: planagent.Agent(settings=["seed"]), r"settings is \['seed'\]"),
+    "settings of a model": (lambda o: planagent.Model(settings=["seed"]), r"settings is \['seed'\]"),
+    "half a character": (lambda o: planagent.open("\udcff"), "no text of Unicode"),
+    "what cannot be shown": (lambda o: planagent.open(Unshown()), "a Unshown that cannot be shown"),
+    "many tokens": (lambda o: planagent.Model().ask(None, "q", max_tokens=10**30), "max_tokens is 1000"),
+    "empty choice": (lambda o: planagent.Model().ask(None, "q", choices=["a", ""]), "one of them is empty"),
+    "regex": (lambda o: planagent.Model().ask(None, "q", regex="("), "regex cannot be used"),
 }
 
 

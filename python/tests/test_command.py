@@ -1,6 +1,8 @@
 """The program in the package, and packages that are missing."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 
@@ -27,6 +29,18 @@ def test_the_package_has_the_program(tmp_path):
     assert program("--no-such-option").returncode == 2
 
 
+def test_model_files_are_tried_by_the_interpreter(tmp_path):
+    quantized = program("models", "quantize", "nano", "--to", "q8_0", "--out", "mine.gguf", folder=tmp_path)
+    assert quantized.returncode == 0, quantized.stderr
+    # Verdicts of former trials do not count.
+    cache = {**os.environ, "PLANAGENT_CACHE": str(tmp_path / "cache")}
+    check = [sys.executable, "-m", "planagent", "models", "check", "mine.gguf"]
+    checked = subprocess.run(check, capture_output=True, text=True, timeout=100, cwd=tmp_path, env=cache)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    ask = f"import planagent; print(planagent.Model({str(tmp_path / 'mine.gguf')!r}).ask(None, 'x', choices=['a', 'b']))"
+    shutil.rmtree(tmp_path / "cache")
+    asked = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, timeout=100, env=cache)
+    assert asked.stdout.strip() in ("a", "b"), asked.stderr
 
 
 def test_the_learned_planners_are_there():
@@ -41,6 +55,7 @@ def test_the_learned_planners_are_there():
         ("pandas", "planagent.simulate(S, 'simple').table().to_pandas()"),
         ("pyarrow", "planagent.simulate(S, 'simple').table().to_pyarrow()"),
         ("matplotlib", "planagent.simulate(S, 'simple').plot()"),
+        ("nuplan", "import planagent.nuplan"),
     ],
 )
 def test_a_missing_package_is_named_with_how_to_install_it(package, use):
@@ -52,4 +67,5 @@ def test_a_missing_package_is_named_with_how_to_install_it(package, use):
         "except ModuleNotFoundError as error: print(error, isinstance(error, planagent.PlanAgentError))",
     ]
     shown = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, timeout=100, check=True)
-    assert f"needs {package}, which is not installed: pip install" in shown.stdout and shown.stdout.endswith("True\n")
+    assert f"needs {package}, which is not installed: " in shown.stdout and shown.stdout.endswith("True\n")
+    assert "pip install " in shown.stdout.partition("not installed: ")[2]

@@ -4,6 +4,9 @@ import csv
 import io
 import math
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import planagent
 import pytest
@@ -144,3 +147,10 @@ def test_progress_is_lines_where_stderr_is_no_terminal(capsys):
     planagent.simulate([f"generated/changing_lane/{seed}" for seed in range(3)], "simple", progress=True)
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1] == "3 of 3 simulations" and not any("\r" in line for line in lines)
+
+
+def test_changed_records_end_in_results_or_errors(tmp_path):
+    script = Path(__file__).with_name("mutated_runs.py")
+    command = [sys.executable, "-W", "ignore", script, "8"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr[-8000:]

@@ -189,6 +189,25 @@ def test_a_run_is_stopped_from_another_thread(tmp_path):
         planagent.simulate(SCENE, "idm", stop=3)
 
 
+def test_a_stopped_run_without_a_folder_gives_what_was_completed():
+    stop = threading.Event()
+
+    def tell(progress):
+        if progress.done:
+            stop.set()
+
+    with pytest.raises(planagent.errors.RunStoppedError, match="were not kept") as caught:
+        planagent.simulate([f"generated/changing_lane/{i}" for i in range(30)], "simple", stop=stop, progress=tell)
+    so_far = caught.value.results
+    assert 0 < len(so_far) < 30 and so_far.folder is None and "not simulated" in repr(so_far)
+
+
+def test_a_stderr_that_is_closed_stops_no_run():
+    program = f"{BEGIN}\nsys.stderr.close()\nr = planagent.simulate(scenes, 'simple', progress=True)\nprint(len(r) == len(scenes))"
+    code, out, err, _ = child(program)
+    assert code == 0 and out.strip().endswith("True"), (out, err)
+
+
 class InThreads:
     """Asks for everything in threads of its own, and waits."""
 

@@ -21,6 +21,8 @@ const DEFAULT_MODEL: &str = "nano";
 /// [`simulate`](crate::simulate) runs it; in a loop of your own, call [`Agent::plan`].
 pub struct Agent {
     planner: Box<dyn Planner>,
+    /// What was odd when its server was tried.
+    remarks: Vec<String>,
     /// The map that the planner was initialized with.
     initialized: Option<Arc<LaneMap>>,
     /// Time of the first plan since then, seconds.
@@ -72,6 +74,13 @@ impl Agent {
         Ok(self
             .planner
             .compute_trajectory(&PlannerInput { iteration, scene })?)
+    }
+
+    /// What was odd in the answers of a server to the two short questions that
+    /// [`AgentBuilder::build`] asks it, in sentences: for example that the model may not look at
+    /// pictures. Empty for a model in this process.
+    pub fn remarks(&self) -> &[String] {
+        &self.remarks
     }
 
     /// The planning calls since the agent started on this map.
@@ -217,11 +226,12 @@ impl AgentBuilder {
         Self { settings, ..self }
     }
 
-    /// Loads the model.
+    /// Loads the model. A server gets two short questions, as before a run; one that still loads
+    /// its model is waited for.
     ///
     /// # Errors
     /// When there is no such model, planner or prompt set, the files of the model are broken, or
-    /// nobody vouches for them.
+    /// nobody vouches for them. When a server cannot be asked.
     pub fn build(self) -> Result<Agent> {
         let registry = all_planners();
         let entry = registry.find(&self.planner)?;
@@ -231,6 +241,10 @@ impl AgentBuilder {
             None
         };
         let (settings, model) = (&self.settings, model.as_ref());
+        let remarks = match model {
+            Some(model) => model.probe(settings.environment.bev, &|_| ())?,
+            None => Vec::new(),
+        };
         let parts = PlannerParts {
             name: entry.name,
             settings,
@@ -241,6 +255,7 @@ impl AgentBuilder {
         };
         Ok(Agent {
             planner: entry.build(&parts)?,
+            remarks,
             initialized: None,
             start_s: 0.0,
         })

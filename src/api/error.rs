@@ -12,7 +12,7 @@ use planagent_world::SceneError;
 /// Why a call of the library fails.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum Error {
     #[error(transparent)]
     Scenario(#[from] ReaderError),

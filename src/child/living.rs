@@ -1,6 +1,6 @@
 //! The children that live, and their end before that of the program.
 
-use rustix::process::{Pid, Signal, WaitOptions, kill_process_group, waitpid};
+use rustix::process::{Pid, Signal, WaitOptions, kill_process_group, waitpgid, waitpid};
 use std::process::Child;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
@@ -64,12 +64,31 @@ pub fn end_all() {
             Err(TryLockError::WouldBlock) => return,
         }
     };
+    adopt_orphans();
     living.iter().for_each(|group| group.kill());
-    for pid in living.iter().flat_map(|group| [group.child, group.guard]) {
-        while left() && waitpid(Some(pid), WaitOptions::NOHANG).is_ok_and(|ended| ended.is_none()) {
+    let goes_on = |ended: rustix::io::Result<Option<_>>| ended.is_ok_and(|ended| ended.is_none());
+    for Group { guard, child } in living.iter().copied() {
+        // The child first, by its number: it may have left the group.
+        while left() && goes_on(waitpid(Some(child), WaitOptions::NOHANG)) {
             thread::sleep(POLL);
         }
+        // Each success takes one process of the group; an error says that none is left.
+        while left()
+            && let Ok(ended) = waitpgid(guard, WaitOptions::NOHANG)
+        {
+            if ended.is_none() {
+                thread::sleep(POLL);
+            }
+        }
     }
+}
+
+/// What the children started becomes ours to wait for when they end. Without this, the first
+/// process of the system takes their exit statuses, and that may be slow to do so.
+fn adopt_orphans() {
+    #[cfg(target_os = "linux")]
+    // Kernels that cannot do it leave the zombies to the first process.
+    let _ = rustix::process::set_child_subreaper(Some(rustix::process::getpid()));
 }
 
 /// Waits for the end of the program, if [`end_all`] was called. Code that reads from a child calls

@@ -162,6 +162,11 @@ pub(super) const DATASET: &str = "\
 Example:
   planagent dataset --out data --states 300 --validation 50";
 
+pub(super) const MEMORY: &str = "\
+Examples:
+  planagent memory fill agent-driver --out agent_driver.json --scenarios 40
+  planagent simulate --planner agent-driver --set language_agents.agent_driver.memory=agent_driver.json";
+
 pub(super) const STUDY: &str = "\
 Examples:
   planagent study main --quick
@@ -184,9 +189,9 @@ Examples:
 
 pub(super) const COMPLETIONS: &str = "\
 Examples:
-  planagent completions bash > ~/.bash_completion
-  planagent completions zsh > ~/.zfunc/_planagent
-  planagent completions fish > ~/.config/fish/completions/planagent.fish";
+  echo 'source <(planagent completions bash)' >> ~/.bashrc
+  echo 'source <(planagent completions zsh)' >> ~/.zshrc
+  echo 'planagent completions fish | source' >> ~/.config/fish/config.fish";
 
 pub(super) const MODELS: &str = "\
 Examples:

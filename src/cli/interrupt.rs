@@ -15,6 +15,15 @@ pub(super) const PAUSE: Duration = Duration::from_millis(100);
 /// How the present work goes on.
 static ADVICE: Mutex<Option<String>> = Mutex::new(None);
 
+/// A file beyond the limit of the system (`ulimit -f`) becomes an error of the write, and does not
+/// end the program.
+#[cfg(unix)]
+pub(super) fn outlive_file_limits() {
+    // Any handler does. Without one, such a file ends the program, as it did before.
+    let received = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let _ = flag::register(signal_hook::consts::SIGXFSZ, received);
+}
+
 /// Says at Ctrl-C, and when the process is asked to end, how the work goes on; then the signal ends
 /// the process as usual. What is completed is on the disk by then.
 pub(super) fn advise(advice: impl Into<String>, printer: Printer) -> anyhow::Result<()> {

@@ -21,6 +21,7 @@ mod words;
 
 pub(crate) use exit::Exit;
 pub use printer::Printer;
+pub use settings::trial_by;
 
 use anyhow::bail;
 use args::{Arguments, Command};
@@ -33,7 +34,10 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::OnceLock;
 
-const MAX_THREADS: usize = 512;
+/// Maximum number of threads.
+pub const MAX_THREADS: usize = 512;
+/// The variable with the number of threads, where `--threads` gives none.
+const THREADS_VARIABLE: &str = "RAYON_NUM_THREADS";
 
 /// What starts the program, where that is not the executable of the process alone.
 static LAUNCHER: OnceLock<Vec<OsString>> = OnceLock::new();
@@ -55,10 +59,19 @@ pub fn run_inside(
     run_with(arguments, commit).code()
 }
 
+/// What starts this program: a command and its first arguments.
+fn launched() -> std::io::Result<Vec<OsString>> {
+    match LAUNCHER.get().filter(|launcher| !launcher.is_empty()) {
+        Some(launcher) => Ok(launcher.clone()),
+        None => Ok(vec![std::env::current_exe()?.into_os_string()]),
+    }
+}
+
 /// A command that starts this program.
 fn this_program() -> std::io::Result<std::process::Command> {
-    let [program, first @ ..] = LAUNCHER.get().map_or(&[][..], Vec::as_slice) else {
-        return Ok(std::process::Command::new(std::env::current_exe()?));
+    let launcher = launched()?;
+    let [program, first @ ..] = launcher.as_slice() else {
+        return Err(std::io::ErrorKind::NotFound.into());
     };
     let mut command = std::process::Command::new(program);
     command.args(first);
@@ -67,11 +80,16 @@ fn this_program() -> std::io::Result<std::process::Command> {
 
 fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'static str>) -> Exit {
     panic_guard::install_hook();
+    #[cfg(unix)]
+    interrupt::outlive_file_limits();
     if let Some(commit) = commit {
         set_build_commit(commit);
     }
     let words: Vec<OsString> = arguments.into_iter().collect();
     again::remember(&words);
+    if let Some(exit) = commands::completions::answer(&words) {
+        return exit;
+    }
     if let Some(advice) = llama_options::instead(&words) {
         let error = Arguments::command().error(ErrorKind::UnknownArgument, advice);
         return Printer::arguments(error, &words);
@@ -119,6 +137,12 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     if threads > MAX_THREADS {
         bail!("--threads is {threads}; it must be at most {MAX_THREADS}");
     }
+    // rayon takes it where no number is given.
+    let of_environment = std::env::var(THREADS_VARIABLE).ok();
+    let too_many = |text: &String| text.parse().is_ok_and(|count: usize| count > MAX_THREADS);
+    if let Some(text) = of_environment.filter(|text| threads == 0 && too_many(text)) {
+        bail!("{THREADS_VARIABLE} is {text}; it must be at most {MAX_THREADS}");
+    }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()?;
@@ -134,6 +158,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
+        Command::Memory(command) => commands::memory::run(command, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
         Command::Config(flags) => commands::config::run(flags, &settings, printer),

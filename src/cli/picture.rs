@@ -3,8 +3,8 @@
 use anyhow::{Context, bail};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
-use planagent_files::{target, write_whole};
-use std::fs::{self, File};
+use planagent_files::{WholeFile, target, write_whole};
+use std::fs::File;
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
@@ -43,13 +43,13 @@ pub(super) fn check_output(file: &Path) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// Opens a file for writing; one that this creates is deleted again.
+/// Opens a file for writing. In the place of one that is missing, only a temporary file is created
+/// and deleted again: another process may write the file meanwhile.
 fn open_once(file: &Path) -> io::Result<()> {
     if file.exists() {
         return File::options().append(true).open(file).map(|_| ());
     }
-    File::create_new(file)?;
-    fs::remove_file(file)
+    WholeFile::create(file).map(drop)
 }
 
 /// The file to write, behind links; see [`check_output`].

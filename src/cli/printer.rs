@@ -224,6 +224,13 @@ impl Printer {
         self.columns().unwrap_or(80)
     }
 
+    /// Columns of the terminal on stderr; 80 when it is none.
+    pub(crate) fn note_width(self) -> u16 {
+        Term::stderr()
+            .size_checked()
+            .map_or(80, |(_, columns)| columns)
+    }
+
     /// The width of tables on stdout.
     pub(crate) fn line_width(self) -> LineWidth {
         self.columns().map_or(LineWidth::PIPE, LineWidth::terminal)

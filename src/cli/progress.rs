@@ -65,6 +65,7 @@ impl Console {
             }
             Event::Stepped => self.of_simulations(SimulationProgress::step),
             Event::CallFailed(call) => self.aside(&call.to_string()),
+            Event::SimulationFailed { failure } => self.aside(&format!("failed: {failure}")),
             Event::Ended { failed } => self.of_simulations(|progress| progress.ended(failed)),
             Event::Finished => self.replace(None),
             Event::Planned {

@@ -1,6 +1,7 @@
 //! The settings of a command, and where each comes from.
 
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
+use super::launched;
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
 use anyhow::{Context, bail};
@@ -14,6 +15,7 @@ use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
 use serde::Serialize;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -129,6 +131,7 @@ impl Settings {
         config
             .learned
             .all_mut()
+            .chain(config.language_agents.memories_mut())
             .for_each(|path| *path = absolute_path(path));
         for word in [
             Some(&mut config.mllm.model),
@@ -231,14 +234,21 @@ fn the_learned(flags: &SimulateArguments, word: &str) -> anyhow::Result<String> 
 /// A trial of the model's files by this program.
 fn trial() -> Trust {
     // Without a path of the program there is nothing to try with, and nobody vouches for the files.
-    std::env::current_exe().map_or(Trust::Nobody, |program| {
-        let samples = built_in_prompts().map(str::to_owned);
-        Trust::Trial(Trial::by(
-            program,
-            &[TRIAL_PROCESS, "--threads", "1"],
-            samples,
-        ))
-    })
+    launched().map_or(Trust::Nobody, |launcher| trial_by(&launcher))
+}
+
+/// A trial of a model's files by what starts this program: a command and its first arguments.
+pub fn trial_by(launcher: &[OsString]) -> Trust {
+    let Some((program, first)) = launcher.split_first() else {
+        return Trust::Nobody;
+    };
+    let words: Vec<&str> = first
+        .iter()
+        .filter_map(|word| word.to_str())
+        .chain([TRIAL_PROCESS, "--threads", "1"])
+        .collect();
+    let samples = built_in_prompts().map(str::to_owned);
+    Trust::Trial(Trial::by(program, &words, samples))
 }
 
 /// The settings before options: those of the file that `--config` names; without it, of the run

@@ -26,6 +26,16 @@ struct Mistyped {
     known: Vec<String>,
 }
 
+impl Mistyped {
+    fn new(what: &'static str, name: &str, known: Vec<String>) -> Self {
+        Self {
+            what,
+            name: name.to_owned(),
+            known,
+        }
+    }
+}
+
 /// Letters from which on a part of a name suggests it.
 const MIN_PART: usize = 3;
 
@@ -111,12 +121,22 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(RunnerError::Split(error)) = error.downcast_ref() {
         return other_option(error);
     }
+    if let Some(RunnerError::FindModel(error)) = error.downcast_ref() {
+        return other_option(&**error);
+    }
     if let Some(ReaderError::Missing(path)) = error.downcast_ref() {
         let name = path.file_name()?.to_str()?;
         let splits = Readers::new(&DataRoots::default()).splits();
         let is_split =
             Suite::named(name).is_some() || NAMES.contains(&name) || splits.contains(&name);
         return is_split.then(|| format!("{name} is a split: --split {name}"));
+    }
+    if let Some(MllmError::UnknownModel { name, .. }) = error.downcast_ref() {
+        return is_of_ollama(name).then(|| {
+            format!(
+                "a model of Ollama is named with its server: --model http://127.0.0.1:11434#{name}"
+            )
+        });
     }
     if let Some(SplitError::Unknown { name, .. }) = error.downcast_ref() {
         let is_scenario = Path::new(name).exists() || name.starts_with("generated/");
@@ -125,9 +145,20 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
+/// Whether a word has the form of Ollama's names, such as `llava:7b`.
+fn is_of_ollama(name: &str) -> bool {
+    let plain = |part: &str| {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        !part.is_empty() && part.chars().all(is_plain)
+    };
+    name.split_once(':')
+        .is_some_and(|(model, tag)| plain(model) && plain(tag))
+}
+
 fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
     let owned = |known: &[&str]| known.iter().map(ToString::to_string).collect();
     let listed = |known: &str| known.split(", ").map(str::to_owned).collect();
+    // Errors that show another one as their own are no links of the chain; they are opened here.
     if let Some(error) = error.downcast_ref::<RunnerError>() {
         return match error {
             RunnerError::Planner(error) => mistyped(error),
@@ -140,51 +171,27 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
         };
     }
     if let Some(RenderError::NoSimulation { wanted, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "simulation",
-            name: wanted.clone(),
-            known: known.clone(),
-        });
+        return Some(Mistyped::new("simulation", wanted, known.clone()));
     }
     if let Some(ReportError {
         fault: ReportFault::NoScenario { part, known },
         ..
     }) = error.downcast_ref()
     {
-        return Some(Mistyped {
-            what: "scenario",
-            name: part.clone(),
-            known: known.clone(),
-        });
+        return Some(Mistyped::new("scenario", part, known.clone()));
     }
     if let Some(UnknownPlanner { name, known }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "planner",
-            name: name.clone(),
-            known: known.clone(),
-        });
+        return Some(Mistyped::new("planner", name, known.clone()));
     }
     if let Some(NoSuchType { name, known }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "type",
-            name: name.clone(),
-            known: known.clone(),
-        });
+        return Some(Mistyped::new("type", name, known.clone()));
     }
     if let Some(NoPair::UnknownPlanner { name, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "planner",
-            name: name.clone(),
-            known: known.clone(),
-        });
+        return Some(Mistyped::new("planner", name, known.clone()));
     }
     if let Some(error) = error.downcast_ref::<SplitError>() {
         return match error {
-            SplitError::Unknown { name, known } => Some(Mistyped {
-                what: "split",
-                name: name.clone(),
-                known: owned(known),
-            }),
+            SplitError::Unknown { name, known } => Some(Mistyped::new("split", name, owned(known))),
             SplitError::Reader(error) => mistyped(error),
             SplitError::Retired { .. } => None,
         };
@@ -194,25 +201,13 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
     }
     if let Some(GeneratorError::UnknownType(name)) = error.downcast_ref() {
         let known = types::in_suites().map(|kind| kind.to_string()).collect();
-        return Some(Mistyped {
-            what: "type",
-            name: name.clone(),
-            known,
-        });
+        return Some(Mistyped::new("type", name, known));
     }
     if let Some(MllmError::UnknownModel { name, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "model",
-            name: name.clone(),
-            known: listed(known),
-        });
+        return Some(Mistyped::new("model", name, listed(known)));
     }
     if let Some(StudyError::Unknown { word, known }) = error.downcast_ref() {
-        return Some(Mistyped {
-            what: "study",
-            name: word.clone(),
-            known: listed(known),
-        });
+        return Some(Mistyped::new("study", word, listed(known)));
     }
     None
 }
@@ -220,6 +215,14 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_of_ollama_is_known_by_its_form() {
+        assert!(is_of_ollama("llava:7b") && is_of_ollama("qwen2.5vl:3b-q8_0"));
+        for other in ["llava", "org/name:Q8_0", "a: b", ":7b", "a:b:c", "C:\\m"] {
+            assert!(!is_of_ollama(other), "{other}");
+        }
+    }
 
     #[test]
     fn only_close_names_are_suggested() {

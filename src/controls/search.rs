@@ -101,7 +101,7 @@ pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> 
 }
 
 /// As [`search`], over a number of iterations.
-pub(crate) fn search_ahead(
+pub fn search_ahead(
     simulation: &ClosedLoop<'_>,
     graph: &LaneGraph,
     horizon: usize,

@@ -38,22 +38,43 @@ const KINDS: &[(&[u8], &str)] = &[
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),
     (b"%PDF", "a PDF document"),
-    (b"\x80\x02", "a Python pickle"),
-    (b"\x80\x03", "a Python pickle"),
-    (b"\x80\x04\x95", "a Python pickle"),
-    (b"\x80\x05\x95", "a Python pickle"),
+    (b"tjgg", OLD_LLAMA),
+    (b"fmgg", OLD_LLAMA),
+    (b"lmgg", OLD_LLAMA),
+    (b"algg", OLD_LLAMA),
     (
         b"version https://git-lfs",
         "a pointer of git-lfs: run `git lfs pull` in its repository",
     ),
 ];
+/// Files with the marks `ggjt`, `ggmf`, `ggml` and `ggla`.
+const OLD_LLAMA: &str = "a file of llama.cpp from before GGUF: take the model as GGUF";
+/// A Python pickle begins with this byte, the version of its protocol, and a first instruction.
+const PICKLE: u8 = 0x80;
+const PICKLE_PROTOCOLS: std::ops::RangeInclusive<u8> = 2..=5;
 /// What marks a tar archive, and where.
 const TAR: (usize, &[u8]) = (257, b"ustar");
 
+/// Whether a file begins as a Python pickle does. The length of the header of a safetensors file
+/// may have the same first bytes: a zero follows there.
+pub fn is_pickle(beginning: &[u8]) -> bool {
+    matches!(beginning, [PICKLE, protocol, instruction, ..]
+        if PICKLE_PROTOCOLS.contains(protocol) && *instruction != 0)
+}
+
 /// What a file with this beginning is, in words; `None` if nothing is known.
 pub fn kind_of(beginning: &[u8]) -> Option<&'static str> {
+    let looked_at = beginning.get(..KIND_BYTES).unwrap_or(beginning);
+    binary_kind_of(beginning).or_else(|| of_text(looked_at))
+}
+
+/// As [`kind_of`], by marks alone: a text without a mark is of no known kind.
+pub fn binary_kind_of(beginning: &[u8]) -> Option<&'static str> {
     if let Some((_, kind)) = KINDS.iter().find(|(magic, _)| beginning.starts_with(magic)) {
         return Some(kind);
+    }
+    if is_pickle(beginning) {
+        return Some("a Python pickle");
     }
     let (at, mark) = TAR;
     if beginning
@@ -66,7 +87,7 @@ pub fn kind_of(beginning: &[u8]) -> Option<&'static str> {
     if looked_at.len() >= TEXT_BYTES && looked_at.iter().all(|byte| *byte == 0) {
         return Some("full of zeros, as an unfinished download leaves it: download it again");
     }
-    of_text(looked_at)
+    None
 }
 
 /// What a text is.
@@ -138,6 +159,9 @@ mod tests {
             ("Für alle".as_bytes(), "a text"),
             (b"version https://git-lfs.github.com/spec/v1\n", "git-lfs"),
             (&[0; 600], "zeros"),
+            (b"\x80\x02}q\0", "pickle"),
+            (b"\x80\x04\x95\x10", "pickle"),
+            (b"tjgg\x03\0\0\0", "before GGUF"),
         ] {
             let kind = kind_of(beginning).unwrap_or_default();
             assert!(kind.contains(said), "{beginning:?}: {kind}");
@@ -153,6 +177,9 @@ mod tests {
             b"\0\0",
             b"%\x02",
             b"abc",
+            // Headers of safetensors of 640 and 642 bytes.
+            b"\x80\x02\0\0\0\0\0\0{",
+            b"\x82\x02\0\0\0\0\0\0{",
         ] {
             assert_eq!(kind_of(unknown), None, "{unknown:?}");
         }

@@ -178,6 +178,12 @@ impl OpenFolder {
         Ok(file.into_std())
     }
 
+    /// The folder as a file, to lock it. Not every system opens a folder so.
+    pub(super) fn handle(&self) -> io::Result<File> {
+        // The handle of the folder itself may be one that only leads to entries.
+        Ok(self.dir.open(".")?.into_std())
+    }
+
     /// Creates a file where nothing stands.
     pub(super) fn new_file(&self, name: &str) -> io::Result<File> {
         self.open_with(

@@ -151,21 +151,28 @@ impl OpenFolder {
 
     /// Deletes the unfinished files that no living process writes.
     pub fn sweep_files(&self) -> io::Result<()> {
-        sweep(self, |name| name.starts_with(UNFINISHED))
+        sweep(self, |name| {
+            let is_file = || matches!(self.kind(name), Ok(Some(EntryKind::File)));
+            name.starts_with(UNFINISHED) && is_file()
+        })
     }
 }
 
-/// Deletes temporary files whose process is gone: nobody holds their lock.
-fn sweep(folder: &OpenFolder, is_meant: impl Fn(&str) -> bool) -> io::Result<()> {
+/// Deletes temporary files and folders whose process is gone: nobody holds their lock.
+pub(super) fn sweep(folder: &OpenFolder, is_meant: impl Fn(&str) -> bool) -> io::Result<()> {
     for name in folder.names()? {
         let Some(name) = name.to_str().filter(|name| is_meant(name)) else {
             continue;
         };
-        // What is no file was left by nobody, and one that cannot be opened is in nobody's way.
-        let Ok(file) = folder.open_file(name) else {
+        let opened = match folder.kind(name)? {
+            Some(EntryKind::Folder) => folder.subfolder(name).and_then(|folder| folder.handle()),
+            _ => folder.open_file(name),
+        };
+        // What is neither was left by nobody, and what cannot be opened is in nobody's way.
+        let Ok(opened) = opened else {
             continue;
         };
-        match file.try_lock() {
+        match opened.try_lock() {
             Ok(()) => folder.remove(name)?,
             Err(TryLockError::WouldBlock | TryLockError::Error(_)) => {}
         }

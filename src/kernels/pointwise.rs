@@ -24,14 +24,29 @@ impl Activation {
 
     /// silu(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
     pub fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
+        Self::Silu.gated(gate_up)
+    }
+
+    /// f(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
+    ///
+    /// # Errors
+    /// When the rows have an odd width, or the function is neither [`Self::Silu`] nor
+    /// [`Self::GeluTanh`].
+    pub fn gated(self, gate_up: &Tensor) -> Result<Tensor> {
         let both = gate_up.dim(D::Minus1)?;
         let width = both / 2;
         if both % 2 == 1 {
             bail!("rows of {both} numbers do not split into gates and values of equal width");
         }
-        row_by_row(gate_up, both, width, |out, values| {
-            Instructions::best().run(SwiGluKernel { width, values, out });
-        })
+        match self {
+            Self::Silu => row_by_row(gate_up, both, width, |out, values| {
+                Instructions::best().run(SwiGluKernel { width, values, out });
+            }),
+            Self::GeluTanh => row_by_row(gate_up, both, width, |out, values| {
+                Instructions::best().run(GegluKernel { width, values, out });
+            }),
+            other => bail!("gates with {other:?} are not supported"),
+        }
     }
 }
 
@@ -115,12 +130,7 @@ impl Kernel for EachKernel<'_> {
         } = self;
         match activation {
             Activation::Gelu => map(values, out, gelu),
-            // 0.5 x (1 + tanh(u)) = x σ(2u), u = √(2/π) (x + 0.044715 x³).
-            Activation::GeluTanh => map(values, out, |x| {
-                const TWO_SQRT_2_PI: f32 =
-                    2.0 * std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
-                x * sigmoid(TWO_SQRT_2_PI * x * (1.0 + 0.044_715 * x * x))
-            }),
+            Activation::GeluTanh => map(values, out, gelu_tanh),
             Activation::QuickGelu => map(values, out, |x| x * sigmoid(1.702 * x)),
             Activation::Relu => map(values, out, |x| if x < 0.0 { 0.0 } else { x }),
             Activation::Silu => map(values, out, |x| x * sigmoid(x)),
@@ -155,6 +165,36 @@ impl Kernel for SwiGluKernel<'_> {
             }
         }
     }
+}
+
+struct GegluKernel<'a> {
+    width: usize,
+    values: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for GegluKernel<'_> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        for (out, row) in self
+            .out
+            .chunks_exact_mut(self.width)
+            .zip(self.values.chunks_exact(2 * self.width))
+        {
+            let (gates, values) = row.split_at(self.width);
+            for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
+                *out = gelu_tanh(*gate) * value;
+            }
+        }
+    }
+}
+
+/// 0.5 x (1 + tanh(u)) = x σ(2u), u = √(2/π) (x + 0.044715 x³).
+#[inline(always)]
+fn gelu_tanh(x: f32) -> f32 {
+    const TWO_SQRT_2_PI: f32 =
+        2.0 * std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
+    x * sigmoid(TWO_SQRT_2_PI * x * (1.0 + 0.044_715 * x * x))
 }
 
 /// 1 / (1 + e⁻ˣ).

@@ -5,6 +5,8 @@
 pub mod bench;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod dataset;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod memory;
 mod rank_correlation;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod realism;

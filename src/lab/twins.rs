@@ -91,6 +91,7 @@ pub fn draw(
         && first + next < end
     {
         let wanted = |names: &[PairName; 2]| count(&drawn, names[0].kind) < per_kind;
+        // Batches in the order of the seeds: the list does not depend on the threads.
         let candidates = (next..(next + BATCH).min(end - first))
             .map(|number| PairName::candidates(first + number, number, true));
         let candidates: Vec<[PairName; 2]> = candidates.filter(wanted).collect();

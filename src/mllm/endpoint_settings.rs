@@ -9,6 +9,16 @@ use std::net::IpAddr;
 const IMAGE_SIZES: std::ops::RangeInclusive<u32> = 32..=4096;
 /// The path of chat completions, after the version.
 const CHAT: &str = "/chat/completions";
+/// Other routes after the version, whose addresses people copy from examples.
+const ROUTES: [&str; 5] = [
+    "/chat",
+    "/completions",
+    "/models",
+    "/responses",
+    "/embeddings",
+];
+/// Routes of Ollama's own interface, beside which chat completions stand under `/v1`.
+const OLLAMA: [&str; 3] = ["/api/chat", "/api/generate", "/api/tags"];
 
 /// A model behind a server with OpenAI's chat completions.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -201,11 +211,8 @@ impl EndpointSettings {
             }
         }
         let address = self.endpoint.trim().trim_end_matches('/');
-        let base = address
-            .strip_suffix(CHAT)
-            .unwrap_or(address)
-            .trim_end_matches('/');
-        let (scheme, rest) = scheme(base).unwrap_or(("http://", base));
+        let base = base_of(address);
+        let (scheme, rest) = scheme(&base).unwrap_or(("http://", &base));
         Ok(format!("{}{rest}{CHAT}", scheme.to_ascii_lowercase()))
     }
 
@@ -224,6 +231,29 @@ impl EndpointSettings {
         };
         host_of(authority(rest)).filter(|host| !host.is_empty())
     }
+}
+
+/// What stands before the route of chat completions, for an address of any route of a server.
+fn base_of(address: &str) -> String {
+    let trimmed = |text: &str| text.trim_end_matches('/').to_owned();
+    if let Some(base) = address.strip_suffix(CHAT) {
+        return trimmed(base);
+    }
+    if let Some(server) = OLLAMA.iter().find_map(|route| address.strip_suffix(route)) {
+        return format!("{}/v1", trimmed(server));
+    }
+    // Elsewhere such a part may be one of the address: a version stands before a route.
+    let has_version = |base: &&str| {
+        let last = base.rsplit('/').next().unwrap_or(base);
+        last.strip_prefix('v')
+            .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    let mut bases = ROUTES
+        .iter()
+        .filter_map(|route| address.strip_suffix(route));
+    bases
+        .find(has_version)
+        .map_or_else(|| trimmed(address), trimmed)
 }
 
 /// Splits `http://` or `https://` from an address.
@@ -313,12 +343,22 @@ mod tests {
             "http://127.0.0.1:8080/v1/chat/completions/",
             " HTTP://127.0.0.1:8080/v1 ",
             "127.0.0.1:8080/v1",
+            "http://127.0.0.1:8080/v1/models",
+            "http://127.0.0.1:8080/v1/completions/",
+            "127.0.0.1:8080/v1/responses",
+            "http://127.0.0.1:8080/api/chat",
+            "http://127.0.0.1:8080/api/tags",
         ] {
             assert_eq!(url(endpoint).as_deref(), Ok(asked), "{endpoint}");
         }
         assert_eq!(
             url("http://127.0.0.1:1234").as_deref(),
             Ok("http://127.0.0.1:1234/chat/completions")
+        );
+        // A part of the address that has the name of a route.
+        assert_eq!(
+            url("https://a.example/models").as_deref(),
+            Ok("https://a.example/models/chat/completions")
         );
         assert_eq!(
             url("localhost").as_deref(),

@@ -157,6 +157,17 @@ pub enum MllmError {
     },
     #[error("there is no model file or folder {path}")]
     AbsentModel { path: PathBuf },
+    #[error(
+        "{path} is no model: name a folder as Hugging Face writes it, a GGUF file or a description (.toml){}",
+        kind.map_or(String::new(), |kind| format!(" (the file is {kind})"))
+    )]
+    NoModelFile {
+        path: PathBuf,
+        /// What the file is, by its first bytes.
+        kind: Option<&'static str>,
+    },
+    #[error("{path} is no model folder, but holds some: name one of {inner}")]
+    OuterFolder { path: PathBuf, inner: String },
     #[error("unknown model shape '{name}'; choose one of {known}")]
     UnknownShape { name: String, known: String },
     #[error("{id} (revision {revision}): {file} is not in the cache {cache}; {advice}")]

@@ -2,7 +2,9 @@
 
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
-use super::{MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
+use super::{
+    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm, text_only,
+};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::path::Path;
@@ -15,6 +17,10 @@ const BUILT_IN: &[&Family] = &[
     &internvl::FAMILY,
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
+    &text_only::LLAMA,
+    &text_only::QWEN2,
+    &text_only::QWEN3,
+    &text_only::GEMMA3,
 ];
 
 /// The families that models are looked for in: those that are built in, and those of a program that

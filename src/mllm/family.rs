@@ -1,6 +1,7 @@
 //! The contract of a model family: what differs between LLaVA, `CogVLM` and their like.
 //!
-//! A family answers five questions, and nothing else knows it by name:
+//! A family answers five questions, and nothing else knows it by name. One without a vision tower
+//! answers the first two with an error, and its models read text alone:
 //! 1. How does an image become tiles ([`VisionLanguageModel::preprocess`])?
 //! 2. How do tiles become input rows of the decoder ([`VisionLanguageModel::encode`])?
 //! 3. How does a chat become tokens, with placeholders for the image
@@ -27,7 +28,7 @@ use std::ops::Range;
 /// A model, or why it cannot be opened.
 pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
 
-/// A family of vision-language models. `families.rs` lists those that are built in.
+/// A family of models. `families.rs` lists those that are built in.
 #[derive(Clone, Copy)]
 pub struct Family {
     /// The name in model descriptions and results.
@@ -69,16 +70,32 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
             );
             return Err(MllmError::Image { problem });
         }
-        settings.check_size(self.info().image_size)
+        match self.info().image_size {
+            Some(side) => settings.check_size(side),
+            None if settings.is_default() => Ok(()),
+            None => Err(no_picture()),
+        }
     }
 
     /// How an image of this width and height, pixels, lies in a chat.
+    ///
+    /// # Errors
+    /// When the model takes no such image, or none at all.
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError>;
+
+    /// How the image that is drawn for the model lies in a chat; none for a model that reads text
+    /// alone.
+    fn drawn_layout(&self) -> Result<Option<ImageLayout>, MllmError> {
+        self.info()
+            .image_size
+            .map(|side| self.image_layout(side as u32, side as u32))
+            .transpose()
+    }
 
     /// Pixels of all tiles that an image of this width and height becomes.
     fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
         let ImageLayout { rows, columns, .. } = self.image_layout(width, height)?;
-        let side = self.info().image_size;
+        let side = self.info().image_size.ok_or_else(no_picture)?;
         // Beside its tiles stands the image in one piece.
         let views = match rows.saturating_mul(columns) {
             0 | 1 => 1,
@@ -118,6 +135,13 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// Encodes an image to input rows of the decoder.
     fn encode_image(&self, image: &RgbImage) -> Result<ImageFeatures, MllmError> {
         Ok(self.encode(&self.preprocess(image)?)?)
+    }
+}
+
+/// The error of a model without a vision tower that is shown a picture.
+pub(crate) fn no_picture() -> MllmError {
+    MllmError::Image {
+        problem: "this model reads text alone, and takes no picture".into(),
     }
 }
 
@@ -251,6 +275,16 @@ pub trait ChatFormat: Debug + Send + Sync {
     /// Token ids of a chat, each token of the image as the model's placeholder
     /// ([`ModelInfo::image_token`]).
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError>;
+
+    /// From now on, chats end where the model begins to think.
+    ///
+    /// # Errors
+    /// When the family's chats know no thoughts.
+    fn let_think(&mut self) -> Result<(), MllmError> {
+        Err(MllmError::Request {
+            problem: "generation.thinking: chats of this family know no thoughts".into(),
+        })
+    }
 }
 
 /// A chat that ends with a user's prompt.
@@ -269,14 +303,15 @@ pub struct Chat<'a> {
 pub struct ModelInfo {
     /// Name of its family.
     pub architecture: &'static str,
-    /// The id that stands for a token of the image. It need not be a token of the vocabulary.
+    /// The id that stands for a token of the image. It need not be a token of the vocabulary; in
+    /// a model without a vision tower it is none.
     pub image_token: u32,
     /// Whether the image stands before the system prompt, so that no chat shares a prefix with
     /// another.
     pub image_first: bool,
     /// Side of the square that the vision tower takes, or that a tower for any size is shown by
-    /// default, pixels.
-    pub image_size: usize,
+    /// default, pixels; none for a model that reads text alone.
+    pub image_size: Option<usize>,
     /// Tokens of the image that becomes the most.
     pub max_image_tokens: usize,
     /// Number of token ids.
@@ -288,6 +323,9 @@ pub struct ModelInfo {
     /// BLAKE3 of the weight files.
     pub blake3: String,
 }
+
+/// An id that no vocabulary has.
+const NO_TOKEN: u32 = u32::MAX;
 
 /// How a model takes images.
 #[derive(Debug, Clone, Copy)]
@@ -302,20 +340,20 @@ pub(crate) struct ImageInfo {
 
 impl ModelInfo {
     /// The facts of a model of the family `architecture` whose weights were just taken; before,
-    /// `weights` had `before` numbers.
+    /// `weights` had `before` numbers. `image` is none for a model without a vision tower.
     pub(crate) fn new(
         architecture: &'static str,
         text: &LlamaConfig,
-        image: ImageInfo,
+        image: Option<ImageInfo>,
         weights: &Weights,
         before: usize,
     ) -> Self {
         Self {
             architecture,
-            image_token: image.token,
+            image_token: image.map_or(NO_TOKEN, |image| image.token),
             image_first: false,
-            image_size: image.side,
-            max_image_tokens: image.max_tokens,
+            image_size: image.map(|image| image.side),
+            max_image_tokens: image.map_or(0, |image| image.max_tokens),
             vocabulary: text.vocabulary,
             positions: text.context,
             parameters: (before - weights.elements()) as u64,

@@ -48,6 +48,7 @@ mod smolvlm;
 mod source;
 mod template_format;
 mod text;
+mod text_only;
 mod tiled;
 pub mod trial;
 mod vision;

@@ -32,7 +32,7 @@ impl TemplateFormat {
         image: ImageText,
     ) -> Result<Self, MllmError> {
         let placeholder = placeholder(tokenizer, image_token)?;
-        let template = ChatTemplate::open(files, tokenizer.special(), &placeholder)?;
+        let template = ChatTemplate::open(files, tokenizer.special(), Some(&placeholder))?;
         Ok(Self {
             template,
             placeholder,
@@ -94,6 +94,10 @@ impl TemplateFormat {
 }
 
 impl ChatFormat for TemplateFormat {
+    fn let_think(&mut self) -> Result<(), MllmError> {
+        self.template.let_think()
+    }
+
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         let rendered =
             self.template

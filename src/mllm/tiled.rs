@@ -91,6 +91,8 @@ pub(crate) struct TiledModel<T, E> {
     pub(crate) encoder: E,
     decoder: Decoder<LlamaLayer>,
     tile_tokens: usize,
+    /// Side of a tile, pixels.
+    side: usize,
     image_text: fn(placeholder: &str, layout: ImageLayout) -> String,
     info: ModelInfo,
 }
@@ -119,12 +121,13 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
             side,
             max_tokens: tiler.max_views() * tile_tokens,
         };
-        let info = ModelInfo::new(name, text, image, weights, before);
+        let info = ModelInfo::new(name, text, Some(image), weights, before);
         Ok(Self {
             tiler,
             encoder,
             decoder,
             tile_tokens,
+            side,
             image_text,
             info,
         })
@@ -148,7 +151,7 @@ impl<T: Tiler, E: TileEncoder> VisionLanguageModel for TiledModel<T, E> {
             self.tiler.set_tiles(tiles)?;
         }
         self.info.max_image_tokens = self.tiler.max_views() * self.tile_tokens;
-        settings.check_size(self.info.image_size)
+        settings.check_size(self.side)
     }
 
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {

@@ -4,7 +4,7 @@ use planagent_agent::planner_registry::PlannerRegistry;
 
 /// All planners, the controls and the learned ones among them.
 pub fn all_planners() -> PlannerRegistry {
-    let entries = planagent_controls::entries();
+    let entries = planagent_controls::entries().chain(planagent_language_agents::entries());
     #[cfg(feature = "learned")]
     let entries = entries.chain(planagent_learned::entries());
     entries.fold(PlannerRegistry::default(), PlannerRegistry::with)
@@ -25,6 +25,7 @@ mod tests {
             .collect();
         let own =
             PlannerRegistry::default().entries().len() + planagent_controls::entries().count();
+        let own = own + planagent_language_agents::entries().count();
         #[cfg(feature = "learned")]
         let own = own + planagent_learned::entries().count();
         assert_eq!(

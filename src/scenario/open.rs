@@ -4,7 +4,7 @@ use super::{DataRoots, ReaderError, Readers, Scenario};
 
 /// Why a word opens no scenario.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum OpenError {
     #[error(transparent)]
     Reader(#[from] ReaderError),

@@ -286,7 +286,7 @@ impl Eq for ScenarioRef {}
 
 /// Why a word names no scenario, or a scenario cannot be opened.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum ReaderError {
     /// What a reader says.

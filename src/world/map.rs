@@ -221,7 +221,7 @@ impl MapParts {
 
 /// Why layers make no map.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum MapError {
     #[error("the map has no lanes")]
@@ -406,6 +406,7 @@ fn check(parts: &MapParts) -> Result<(), MapError> {
     if parts.lanes.is_empty() {
         return Err(MapError::NoLanes);
     }
+    // Ids are places in the lists of the map, so an unknown one would be an index beyond its list.
     let (lanes, blocks, stops) = (
         parts.lanes.len(),
         parts.roadblocks.len(),

@@ -94,7 +94,7 @@ impl Scene {
 /// Why a builder has no scene.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum SceneError {
     #[error("lane {lane} of the scene is no line")]
     Lane { lane: usize, source: GeometryError },
@@ -278,6 +278,7 @@ impl SceneBuilder {
     /// or infinite.
     pub fn build(self) -> Result<Scene, SceneError> {
         let ego = self.ego.ok_or(SceneError::NoEgo)?;
+        // Before a map is made of it: its fault would have another name.
         if !(ego.rear_axle.is_finite()
             && ego.velocity.norm().is_finite()
             && ego.acceleration.norm().is_finite())

@@ -47,7 +47,7 @@ impl From<&EgoState> for TrajectoryState {
 
 /// Why there is no such trajectory or state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum TrajectoryError {
     #[error("a trajectory needs at least 2 states, got {0}")]

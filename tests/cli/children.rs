@@ -122,6 +122,36 @@ fn commands_of_planners_and_agents_end_with_the_program() {
     }
 }
 
+/// Who waits for the program sees no process of its commands afterwards, not even a zombie: what a
+/// shell started is taken before the program ends.
+#[cfg(target_os = "linux")]
+#[test]
+fn after_a_signal_no_process_of_a_command_is_left() {
+    let work = TempDir::new().unwrap();
+    let command = stubborn(work.path(), "command", "echo '{\"type\": \"ready\"}'");
+    // The shell of the command goes on beside what it starts.
+    let exec = format!("c=exec:{command}; true");
+    let pids = work.path().join("pids");
+    let mut program = Command::new(planagent().get_program())
+        .args(["simulate", "--scenario", SCENE, "--planner", &exec])
+        .args(["--exec-timeout", "300", "--out", "run", "-q"])
+        .current_dir(work.path())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut numbers = String::new();
+    assert!(soon(|| {
+        numbers = fs::read_to_string(&pids).unwrap_or_default();
+        numbers.lines().count() == 2 && numbers.ends_with('\n')
+    }));
+    assert!(signal("TERM", &program.id().to_string()));
+    program.wait().unwrap();
+    for number in numbers.split_whitespace() {
+        assert!(!signal("0", number), "{number} is left");
+    }
+}
+
 #[test]
 fn a_film_encoder_ends_with_the_program() {
     let work = TempDir::new().unwrap();

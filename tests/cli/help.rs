@@ -1,6 +1,8 @@
 //! The help of every command, short and long.
 
 use super::{planagent, refused, run};
+use std::path::Path;
+use tempfile::TempDir;
 
 /// Every command with its own help.
 pub(super) const COMMANDS: [&str; 27] = [
@@ -113,37 +115,87 @@ fn options_about_models_stand_only_where_a_model_is_used() {
     }
 }
 
+/// The words that the program offers to bash for the last word of a line, in a working directory.
+fn offered(work: &Path, line: &[&str]) -> Vec<String> {
+    let mut words = vec!["planagent"];
+    words.extend(line);
+    let last = (words.len() - 1).to_string();
+    let output = planagent()
+        .env("PLANAGENT_COMPLETE", "bash")
+        .env("_CLAP_COMPLETE_INDEX", last)
+        .arg("--")
+        .args(words)
+        .current_dir(work)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
 #[test]
-fn completions_name_commands_and_options() {
+fn scripts_of_completions_ask_the_program() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let (code, script, stderr) = run(&["completions", shell]);
         assert_eq!(code, 0, "{stderr}");
-        for word in ["simulate", "--planner", "--retry-failed", "completions"] {
-            let bare = word.trim_start_matches("--");
-            assert!(script.contains(bare), "{shell}: no {word}");
-        }
+        assert!(script.contains("PLANAGENT_COMPLETE"), "{shell}: {script}");
+        assert!(script.contains("planagent"), "{shell}: {script}");
     }
 }
 
 #[test]
-fn completions_know_the_names_of_registries() {
-    for shell in ["bash", "zsh", "fish"] {
-        let (code, script, stderr) = run(&["completions", shell]);
-        assert_eq!(code, 0, "{stderr}");
-        for name in [
-            "pdm-closed",
+fn completions_know_commands_options_and_the_names_of_registries() {
+    let work = TempDir::new().unwrap();
+    let lines: [(&[&str], &str); 12] = [
+        (&["sim"], "simulate"),
+        (&["simulate", "--retry"], "--retry-failed"),
+        (&["simulate", "--planner", "pdm-c"], "pdm-closed"),
+        (&["simulate", "--planner", "idm,pdm-c"], "idm,pdm-closed"),
+        (
+            &["simulate", "--split", "generated-test14-h"],
             "generated-test14-hard",
+        ),
+        (
+            &["simulate", "--split", "interactive-g"],
             "interactive-generated",
-            "changing_lane",
-            "interactive",
-            "smolvlm2-500m",
-            "compact-2",
-            "reflection.threshold",
-        ] {
-            assert!(script.contains(name), "{shell}: no {name}");
-        }
+        ),
+        (&["simulate", "--type", "near_m"], "near_multiple_vehicles"),
+        (&["study", "inter"], "interactive"),
+        (&["simulate", "--model", "smolvlm2-5"], "smolvlm2-500m"),
+        (&["models", "check", "nan"], "nano"),
+        (&["simulate", "--prompt-set", "compact-"], "compact-2"),
+        (
+            &["simulate", "--set", "reflection.thr"],
+            "reflection.threshold=",
+        ),
+    ];
+    for (line, name) in lines {
+        let found = offered(work.path(), line);
+        assert!(found.iter().any(|one| one == name), "{line:?}: {found:?}");
     }
-    // Values that the script does not know stay possible.
+    // Values that are not offered stay possible.
     let error = refused(&["simulate", "--planner", "nobody"]);
     assert!(error.contains("nobody"), "{error}");
+}
+
+#[test]
+fn completions_know_what_the_user_wrote_since() {
+    let work = TempDir::new().unwrap();
+    let models = |begun: &str| offered(work.path(), &["simulate", "--model", begun]);
+    assert!(models("mine").is_empty());
+    let folder = work.path().join("models");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(folder.join("mine-7b.toml"), "").unwrap();
+    std::fs::write(folder.join("mine $(touch x).toml"), "").unwrap();
+    assert_eq!(models("mine"), ["mine-7b"]);
+    let settings = "[mllm]\nmodel = \"ours\"\n";
+    std::fs::write(work.path().join("planagent.toml"), settings).unwrap();
+    assert_eq!(models("our"), ["ours"]);
+    // A broken file of settings takes no names away.
+    std::fs::write(work.path().join("planagent.toml"), "[").unwrap();
+    assert_eq!(models("nan"), ["nano"]);
+    // Paths, but none that a shell would run.
+    std::fs::write(work.path().join("run-a.gguf"), "").unwrap();
+    std::fs::write(work.path().join("run-$(touch x).gguf"), "").unwrap();
+    assert_eq!(models("run"), ["run-a.gguf"]);
 }

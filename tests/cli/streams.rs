@@ -190,3 +190,34 @@ fn both_streams_may_fail_at_once() {
         assert!(fs::metadata(out.join("summary.json")).unwrap().len() > 100);
     }
 }
+
+/// A limit of the size of files (`ulimit -f`) sends a signal that ends a program.
+#[test]
+fn a_file_beyond_the_limit_of_the_system_is_an_error_of_the_write() {
+    let work = TempDir::new().unwrap();
+    let script = "ulimit -f 8; exec \"$0\" \"$@\"";
+    let mut limited = Command::new("sh");
+    limited
+        .args(["-c", script])
+        .arg(planagent().get_program())
+        .args(["simulate", "--scenario", SCENE, "--planner", "idm"])
+        .args(["--out", "run"])
+        .current_dir(work.path());
+    let output = limited.output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("cannot write"), "{stderr}");
+}
+
+#[test]
+fn more_threads_than_the_limit_are_refused_by_the_variable() {
+    let mut command = Command::new(planagent().get_program());
+    let output = command
+        .args(["scenarios", "list"])
+        .env("RAYON_NUM_THREADS", "99999")
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("RAYON_NUM_THREADS is 99999"), "{stderr}");
+}

@@ -45,8 +45,17 @@ fn open(place: &str, text: &str) {
     match &mut spec.source {
         // The key is the reader's.
         ModelSource::Endpoint(settings) => settings.key_env = None,
+        // A decoder alone is one of llama.cpp's files.
+        files if !spec.vision => {
+            *files = ModelSource::File {
+                file: root().join("tests/fixtures/tiny_qwen2_5_vl/gguf/model.gguf"),
+                mmproj: None,
+            }
+        }
         files => *files = here(),
     }
+    // No tiny model can think.
+    spec.generation.thinking = None;
     for source in [&mut spec.tokenizer, &mut spec.draft_model]
         .into_iter()
         .flatten()

@@ -15,6 +15,7 @@ const CARGO: &str = "builds this program";
 const HOURS: &str = "takes minutes to hours";
 const WEIGHTS: &str = "needs weights of gigabytes";
 const SERVER: &str = "needs a server";
+const PACKAGE: &str = "needs the Python package";
 const NUPLAN: &str = "needs nuPlan's data";
 const DEVKIT: &str = "needs clones of nuplan-devkit and tuplan_garage";
 const NETWORK: &str = "downloads";
@@ -217,6 +218,21 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         HOURS,
     ),
     (
+        "docs/agents.md",
+        "planagent simulate --planner gpt-driver,dilu,agent-driver --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
+        "planagent memory fill dilu --out dilu.json --scenarios 20 --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
+        "planagent simulate --planner dilu --set language_agents.dilu.memory=dilu.json --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
         "docs/llm_assist.md",
         "planagent simulate --split generated --planner pdm-closed,llm-assist-unc,llm-assist-par --model \
          llava-hf/llava-1.5-7b-hf",
@@ -225,6 +241,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     (
         "docs/models.md",
         "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf",
+        WEIGHTS,
+    ),
+    (
+        "docs/models.md",
+        "planagent simulate --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
         WEIGHTS,
     ),
     (
@@ -313,6 +334,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         CARGO,
     ),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
+    (
+        "docs/reliability.md",
+        "PROPTEST_CASES=2000 cargo test -p planagent-runs --lib wild_values_in_records",
+        CARGO,
+    ),
+    (
+        "docs/reliability.md",
+        "python python/tests/mutated_runs.py 900 1",
+        PACKAGE,
+    ),
     (
         "docs/reliability.md",
         "cargo +nightly fuzz run gguf -- -dict=fuzz/dictionaries/gguf.dict -max_total_time=600 -rss_limit_mb=4096 -timeout=20",
@@ -601,6 +632,7 @@ macro_rules! pages {
 
 pages! {
     commands_of_the_readme: "README.md",
+    commands_of_agents: "docs/agents.md",
     commands_of_devkit: "docs/devkit.md",
     commands_of_endpoint: "docs/endpoint.md",
     commands_of_exec: "docs/exec.md",

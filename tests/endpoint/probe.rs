@@ -4,6 +4,8 @@
 use super::server::{Reaction, Server, completion, error, is_probe, response};
 use super::simulation::{ANSWER, Run, SCENE, description};
 use crate::cli::planagent;
+use planagent::Agent;
+use planagent::planning::PlanAgentSettings;
 use serde_json::{Value, json};
 use std::fs;
 use tempfile::TempDir;
@@ -118,6 +120,36 @@ fn a_server_that_is_not_there_ends_the_run_before_it_begins() {
         run.stderr
     );
     assert!(!run.path().exists());
+}
+
+#[test]
+fn the_library_asks_a_server_before_an_agent_depends_on_it() {
+    let folder = TempDir::new().unwrap();
+    let described = |url: &str| {
+        let path = folder.path().join("server.toml");
+        let text = format!(
+            "name = 'server'\nprompt_set = 'compact'\nsource = {{ endpoint = '{url}', model = 'm', grammar = 'gbnf', \
+             retries = 0 }}\n"
+        );
+        fs::write(&path, text).unwrap();
+        Agent::builder().model(path.to_str().unwrap())
+    };
+    let blind = Server::probed(|_, _| completion("red"));
+    let agent = described(&blind.url()).build().unwrap();
+    assert_eq!(blind.received().len(), 2);
+    let [remark] = agent.remarks() else {
+        panic!("{:?}", agent.remarks())
+    };
+    assert!(remark.contains("may not look at pictures"), "{remark}");
+    let mut settings = PlanAgentSettings::default();
+    settings.environment.bev = false;
+    let builder = described(&blind.url()).settings(settings);
+    assert!(builder.build().unwrap().remarks().is_empty());
+    assert_eq!(blind.received().len(), 3);
+    let broken = Server::probed(|_, _| error("404 Not Found", "", "no such model"));
+    let problem = described(&broken.url()).build().unwrap_err().to_string();
+    assert!(problem.contains("no such model"), "{problem}");
+    assert!(Agent::builder().build().unwrap().remarks().is_empty());
 }
 
 #[test]

@@ -272,6 +272,33 @@ fn a_fault_that_no_retry_mends_ends_the_run_or_the_simulation_at_once() {
 }
 
 #[test]
+fn the_first_failed_simulation_is_told_before_the_others_are_done() {
+    let refusal = r#"{"error": "Unexpected endpoint"}"#;
+    let server = Server::always(move || Reaction::Send(response("200 OK", "", refusal)));
+    let folder = TempDir::new().unwrap();
+    let model = folder.path().join("server.toml");
+    fs::write(&model, description(&server, "")).unwrap();
+    let output = planagent()
+        .env("TEST_API_KEY", KEY)
+        .args(["--threads", "1", "simulate", "--scenario", SCENE])
+        .args(["generated/changing_lane/1", "generated/changing_lane/2"])
+        .arg("--model")
+        .arg(&model)
+        .arg("--out")
+        .arg(folder.path().join("run"))
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    let (during, after) = stderr.split_once("results in").unwrap();
+    let told = |text: &str| text.matches("Unexpected endpoint").count();
+    assert_eq!((told(during), told(after)), (1, 1), "{stderr}");
+    assert!(
+        during.contains(&format!("failed: {SCENE} (plan-agent")),
+        "{stderr}"
+    );
+}
+
+#[test]
 fn a_server_is_simulated_by_its_address_alone() {
     let server = Server::start(|_, received| {
         if received.head.starts_with("GET /v1/models ") {

@@ -280,7 +280,7 @@ fn a_refused_file_says_what_it_is_and_how_large() {
     planagent(&[&quantize[..], &["--out", to]].concat())
         .assert()
         .success();
-    // A decoder alone is a language model that sees nothing.
+    // A decoder that shows itself as part of a vision model is not opened without its tower.
     std::fs::remove_file(folder.path().join("mmproj-tiny.gguf")).unwrap();
     let checked = planagent(&["models", "check", to]).assert().code(1);
     let said = String::from_utf8_lossy(&checked.get_output().stdout).into_owned();
@@ -289,7 +289,7 @@ fn a_refused_file_says_what_it_is_and_how_large() {
         "{said}"
     );
     assert!(
-        said.contains("a language model alone cannot be used here"),
+        said.contains("by its token <image>") && said.contains("`vision = false`"),
         "{said}"
     );
     let shown = planagent(&["models", "show", to]).assert().code(1);

@@ -65,16 +65,52 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
     FAMILIES.iter().map(|tiny| (tiny, fixture(tiny.name)))
 }
 
+/// Families without a vision tower, which the decoders of the others are checkpoints of
+/// (`src/mllm/local/text_only_tests.rs`), but for the last.
+const TEXT_ONLY: [&str; 4] = ["llama", "qwen2", "qwen3", "gemma3_text"];
+
 #[test]
 fn every_family_has_a_checkpoint() {
     for family in Families::default().iter() {
         assert!(
-            FAMILIES
-                .iter()
-                .any(|tiny| tiny.architecture == family.name()),
+            TEXT_ONLY.contains(&family.name())
+                || FAMILIES
+                    .iter()
+                    .any(|tiny| tiny.architecture == family.name()),
             "{}",
             family.name()
         );
+    }
+}
+
+#[test]
+fn the_agent_plans_by_the_text_alone_with_a_model_that_sees_nothing() {
+    let copy = Copy::from_fixture("tiny_gemma3_text");
+    copy.edit("config.json", |config| {
+        config["max_position_embeddings"] = json!(4096);
+    });
+    let model: Arc<dyn Mllm> = Arc::from(open_folder(copy.folder()));
+    let about = model.describe();
+    assert_eq!((about.image_size, about.image_tokens), (None, 0));
+    for prompts in ["compact", "brief"] {
+        let agent = plan_once(Arc::clone(&model), prompts);
+        let call = agent.calls().first().unwrap();
+        for attempt in &call.attempts {
+            let rounds = &attempt.rounds;
+            assert_eq!(rounds.len(), 3, "{prompts}");
+            assert!(rounds.iter().all(|round| round.tokens.image == 0));
+            assert!(!rounds[0].prompt.is_empty() && attempt.answer.is_some());
+        }
+    }
+    let shown = PromptPrefix {
+        system: String::new(),
+        image: Some(RgbImage::new(8, 8).into()),
+    };
+    match model.converse(&shown, 0).map(|_| ()) {
+        Err(MllmError::Image { problem }) => {
+            assert!(problem.contains("text alone"), "{problem}");
+        }
+        other => panic!("{other:?}"),
     }
 }
 
@@ -457,6 +493,7 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
         generation: GenerationSettings {
             max_new_tokens,
             sampling: Sampling::Greedy,
+            ..GenerationSettings::default()
         },
         rethink_sampling: Sampling::Greedy,
         grammar: true,

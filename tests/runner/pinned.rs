@@ -63,7 +63,8 @@ fn tasks() -> Vec<SimulationTask> {
 fn simulate() -> Vec<Simulation> {
     let mut config = Config::default();
     concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.toml").clone_into(&mut config.mllm.model);
-    let agent = load_model(&config, &silent()).unwrap().agent_parts(&config);
+    let loaded = load_model(&config, &silent()).unwrap();
+    let agent = loaded.agent_parts(&config, &silent()).unwrap();
     let (tasks, done) = (tasks(), Mutex::new(Vec::new()));
     let numbers: Vec<usize> = (0..tasks.len()).collect();
     let outcome: Result<(), String> = run(&tasks, &numbers, &agent, &|_| (), &|number, record| {

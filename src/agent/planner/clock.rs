@@ -5,7 +5,7 @@ use planagent_world::MICROS_PER_SECOND;
 
 /// The time of the last planning call and of the present step; times of the scene, µs.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Clock {
+pub struct Clock {
     started: Option<i64>,
     step: Option<i64>,
     step_us: i64,
@@ -14,7 +14,7 @@ pub(super) struct Clock {
 
 impl Clock {
     /// Begins a step.
-    pub(super) fn step(&mut self, now_us: i64) {
+    pub fn step(&mut self, now_us: i64) {
         self.started.get_or_insert(now_us);
         self.step_us = self
             .step
@@ -24,7 +24,7 @@ impl Clock {
 
     /// Whether a planning call is due at this step, this time after the last one, seconds: no later
     /// step is nearer. The first call is due at once.
-    pub(super) fn is_due(&self, interval_s: f64) -> bool {
+    pub fn is_due(&self, interval_s: f64) -> bool {
         let (Some(called), Some(step)) = (self.called, self.step) else {
             return true;
         };
@@ -32,17 +32,17 @@ impl Clock {
     }
 
     /// A planning call is made at this step.
-    pub(super) fn set_called(&mut self) {
+    pub fn set_called(&mut self) {
         self.called = self.step;
     }
 
     /// A planning call is due at the next step.
-    pub(super) fn set_due(&mut self) {
+    pub fn set_due(&mut self) {
         self.called = None;
     }
 
     /// Seconds since the first step.
-    pub(super) fn elapsed_s(&self, now_us: i64) -> f64 {
+    pub fn elapsed_s(&self, now_us: i64) -> f64 {
         self.started
             .map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
     }

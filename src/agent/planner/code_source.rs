@@ -6,7 +6,7 @@ use crate::reasoning::{
     AnswerHistory, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
     ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse,
 };
-use planagent_mllm::{Deadline, Mllm};
+use planagent_mllm::{Deadline, Mllm, MllmError};
 use std::sync::Arc;
 
 /// The source of an agent's planner codes.
@@ -52,6 +52,31 @@ pub struct CodeCall<'a> {
 }
 
 impl CodeSource {
+    /// Asks the model what planning calls will ask, and gives remarks on what is odd in its answers.
+    /// `bev` says whether the calls show a picture. Only a server is asked, at most twice, and never
+    /// again once it answered; another source gives no remarks. `on_wait` hears why it takes long.
+    ///
+    /// # Errors
+    /// When the server cannot be asked.
+    pub fn probe(&self, bev: bool, on_wait: &dyn Fn(&str)) -> Result<Vec<String>, MllmError> {
+        let Self::Model {
+            model, reasoning, ..
+        } = self
+        else {
+            return Ok(Vec::new());
+        };
+        let question = reasoning.generation.probe(bev, reasoning.grammar);
+        model.probe(&question, on_wait)
+    }
+
+    /// The name of the model; `None` for a source without one.
+    pub fn model_name(&self) -> Option<&str> {
+        match self {
+            Self::Model { model, .. } => Some(model.name()),
+            _ => None,
+        }
+    }
+
     /// Side of the image that the model takes, pixels; `None` if it takes none.
     pub(super) fn image_size(&self) -> Option<u32> {
         let Self::Model { model, .. } = self else {

@@ -12,6 +12,7 @@ mod error;
 mod exec;
 mod gated;
 mod idm;
+mod language_settings;
 mod latency;
 mod layer;
 mod layered;
@@ -30,8 +31,10 @@ mod simple;
 mod stop;
 mod stop_switch;
 mod unreadable;
+mod waypoint_path;
 
 pub use agent_state::{ActivePlan, AgentState};
+pub use clock::Clock;
 pub use code_source::{CodeCall, CodeList, CodeSource};
 pub use codes::{DEFAULT_ACCELERATIONS, fixed_code, grid_codes, plain_codes, planner_code};
 pub use delayed::Delayed;
@@ -42,6 +45,9 @@ pub use exec::{
 };
 pub use gated::Gated;
 pub use idm::IdmPlanner;
+pub use language_settings::{
+    AgentDriverSettings, DiluSettings, GptDriverSettings, LanguageAgentSettings,
+};
 pub use latency::Latency;
 pub use layer::AgentLayer;
 pub use llm_assist::{AskedModel, LlmAssist};
@@ -58,8 +64,10 @@ pub use settings::{
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use stop::comfortable_stop;
 pub use stop_switch::StopSwitch;
 pub use unreadable::Unreadable;
+pub use waypoint_path::{Onward, prolonged, through_waypoints};
 
 use crate::environment::BevView;
 use image::RgbImage;

@@ -33,7 +33,8 @@ impl ModelInput<'_> {
             .map(|prompts| prompts.forms().scene_text)
             .filter(|_| environment.lane_graph);
         let description = form.map(|_| Description::from_graph(graph));
-        let pixels = self.source.image_size().filter(|_| environment.bev);
+        let takes = self.source.image_size();
+        let pixels = takes.filter(|_| environment.bev);
         Ok(ScenarioPrompt {
             image: pixels
                 .map(|pixels| self.bev(scene, pixels))
@@ -44,7 +45,8 @@ impl ModelInput<'_> {
                 .map(|(form, description)| text::write(description, form)),
             description,
             names: Names::from_graph(graph),
-            legend: bev::Palette::legend(),
+            // What reads text alone is told nothing of a picture.
+            legend: takes.map(|_| bev::Palette::legend()).unwrap_or_default(),
         })
     }
 

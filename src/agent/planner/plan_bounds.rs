@@ -13,6 +13,11 @@ const MAX_GAP_M: f64 = 5.0;
 /// Speed from one state to the next, m/s: twice that of the fastest road traffic.
 const MAX_SPEED: f64 = 100.0;
 
+/// Angle by which a plan may turn from the ego's heading within [`TURN_S`], degrees: no vehicle turns
+/// so far, and headings in degrees or of another axis do.
+const MAX_TURN_DEG: f64 = 90.0;
+const TURN_S: f64 = 1.0;
+
 /// A plan that leaves the ego.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PlanJump {
@@ -24,6 +29,17 @@ pub enum PlanJump {
     Start {
         /// From the ego's rear axle, meters.
         distance_m: f64,
+    },
+    /// The plan heads elsewhere.
+    #[error(
+        "the plan heads {turn_deg:.0} degrees away from the ego at {t_s:.2} s, and {MAX_TURN_DEG} degrees within {TURN_S} s are the \
+         limit; a heading is in radians, counter-clockwise from the x axis of the map"
+    )]
+    Turn {
+        /// Between the headings of the ego and of the state, degrees.
+        turn_deg: f64,
+        /// Time of the state from now, seconds.
+        t_s: f64,
     },
     /// Two states are farther apart than a vehicle drives between them.
     #[error(
@@ -50,6 +66,14 @@ pub fn check_plan(plan: &Trajectory, ego: &EgoState) -> Result<(), PlanJump> {
             return Err(PlanJump::Start { distance_m });
         }
     }
+    for state in plan.states() {
+        let t_s = seconds(state.time_us - ego.time_us);
+        let turn = state.rear_axle.heading - ego.rear_axle.heading;
+        let turn_deg = turn.sin().atan2(turn.cos()).abs().to_degrees();
+        if (0.0..=TURN_S).contains(&t_s) && turn_deg > MAX_TURN_DEG {
+            return Err(PlanJump::Turn { turn_deg, t_s });
+        }
+    }
     for pair in plan.states().windows(2) {
         let [from, to] = pair else { continue };
         let distance_m = to.rear_axle.distance(&from.rear_axle);
@@ -64,4 +88,47 @@ pub fn check_plan(plan: &Trajectory, ego: &EgoState) -> Result<(), PlanJump> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planagent_world::TrajectoryState;
+    use planagent_world::geometry::{Pose, Vector};
+
+    fn state(t_s: f64, heading: f64) -> TrajectoryState {
+        TrajectoryState {
+            time_us: (t_s * MICROS_PER_SECOND) as i64,
+            rear_axle: Pose::new(0.0, 0.0, heading),
+            velocity: Vector::new(0.0, 0.0),
+            acceleration: Vector::new(0.0, 0.0),
+            steering_angle: 0.0,
+        }
+    }
+
+    #[test]
+    fn a_plan_heads_where_the_ego_does() {
+        let still = Vector::new(0.0, 0.0);
+        let ego = EgoState::from_log(0, Pose::new(0.0, 0.0, 3.0), still, still);
+        let checked = |headings: [f64; 2]| {
+            let states = vec![state(0.0, headings[0]), state(0.5, headings[1])];
+            check_plan(&Trajectory::new(states).unwrap(), &ego)
+        };
+        // A whole turn more is the same heading.
+        for headings in [
+            [3.0, 3.1],
+            [3.0, -3.1],
+            [3.0 - std::f64::consts::TAU, 3.0],
+            [2.0, 4.0],
+        ] {
+            assert_eq!(checked(headings), Ok(()), "{headings:?}");
+        }
+        for headings in [[100.0, 100.0], [0.0, 0.0], [3.0, 1.0]] {
+            let error = checked(headings).unwrap_err();
+            assert!(
+                matches!(error, PlanJump::Turn { .. }),
+                "{headings:?}: {error}"
+            );
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Settings of the agent, in the sections of the configuration file. The defaults are those of the
 //! published results; where they differ from the paper, `docs/decisions` says why.
 
+use super::language_settings::LanguageAgentSettings;
 use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
 use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
@@ -200,6 +201,8 @@ pub struct PlanAgentSettings {
     pub reflection: ReflectionSettings,
     /// Section `learned`.
     pub learned: LearnedSettings,
+    /// Section `language_agents`.
+    pub language_agents: LanguageAgentSettings,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
 }
@@ -207,12 +210,13 @@ pub struct PlanAgentSettings {
 impl Default for PlanAgentSettings {
     fn default() -> Self {
         let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
-        let (reflection, learned) = Default::default();
+        let (reflection, learned, language_agents) = Default::default();
         Self {
             agent,
             environment,
             reflection,
             learned,
+            language_agents,
             seed: 0,
         }
     }
@@ -220,7 +224,8 @@ impl Default for PlanAgentSettings {
 
 impl PlanAgentSettings {
     /// The deadline of a planning call, if there is one.
-    pub(super) fn deadline(&self) -> Option<Duration> {
+    #[doc(hidden)]
+    pub fn deadline(&self) -> Option<Duration> {
         self.agent.deadline_ms.map(Duration::from_millis)
     }
 
@@ -242,7 +247,8 @@ impl PlanAgentSettings {
     }
 
     /// The seed of the planning call at an iteration.
-    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
+    #[doc(hidden)]
+    pub fn call_seed(&self, iteration: usize) -> u64 {
         self.seed
             .wrapping_mul(0x9E37_79B9_7F4A_7C15)
             .wrapping_add(iteration as u64)

@@ -9,10 +9,7 @@ const DECELERATION: f64 = 4.0;
 ///
 /// # Errors
 /// When the ego's state is not finite.
-pub(super) fn comfortable_stop(
-    ego: &EgoState,
-    steps: usize,
-) -> Result<Trajectory, TrajectoryError> {
+pub fn comfortable_stop(ego: &EgoState, steps: usize) -> Result<Trajectory, TrajectoryError> {
     let mut speed = ego.velocity.x.max(0.0);
     let mut distance = 0.0;
     let mut states = vec![TrajectoryState::from(ego)];

@@ -34,6 +34,8 @@ pub enum Unreadable {
     NoPlan,
     /// Nothing was answered.
     NoAttempt,
+    /// The waypoints ask for more than a vehicle can do.
+    Jump,
 }
 
 impl Unreadable {
@@ -46,6 +48,7 @@ impl Unreadable {
             Self::WrongLine => "wrong_line",
             Self::NoPlan => "no_plan",
             Self::NoAttempt => "no_attempt",
+            Self::Jump => "jump",
         }
     }
 
@@ -79,6 +82,7 @@ impl fmt::Display for Unreadable {
             Self::WrongLine => "the line of the answer is wrong",
             Self::NoPlan => "the line of the answer stands for no plan in this scene",
             Self::NoAttempt => "nothing was answered",
+            Self::Jump => "the waypoints jump",
         })
     }
 }
@@ -92,13 +96,14 @@ mod tests {
 
     fn attempt(answer: &str, finish: FinishReason) -> Attempt {
         let round = RoundRecord {
-            round: Round::Code,
+            round: Round::Code.into(),
             prompt: String::new(),
             prompt_hash: String::new(),
             answer: answer.to_owned(),
             finish,
             constraint: ConstraintUse::NotSent,
             tokens: TokenCounts::default(),
+            tool: None,
             time: RoundTime::default(),
         };
         let names = Names {

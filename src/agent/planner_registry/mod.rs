@@ -12,6 +12,7 @@ use crate::planner::{
 use crate::reasoning::AssistVariant;
 use crate::simulation::ClosedLoop;
 use planagent_world::EgoState;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
@@ -77,6 +78,8 @@ pub struct PlannerParts<'a> {
 
 type Built = Result<Box<dyn Planner>, PlannerError>;
 type Prepare = dyn Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync;
+/// BLAKE3 of the texts that a planner reads beside its settings, by name.
+type Digests = dyn Fn(&PlanAgentSettings) -> BTreeMap<String, String> + Send + Sync;
 
 /// A planner in the registry.
 #[derive(Clone)]
@@ -90,6 +93,7 @@ pub struct PlannerEntry {
     build: Arc<dyn Fn(&PlannerParts<'_>) -> Built + Send + Sync>,
     unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
     prepare: Arc<Prepare>,
+    digests: Arc<Digests>,
 }
 
 impl PlannerEntry {
@@ -108,6 +112,7 @@ impl PlannerEntry {
             build: Arc::new(build),
             unsupported: |_| None,
             prepare,
+            digests: Arc::new(|_: &PlanAgentSettings| BTreeMap::new()),
         }
     }
 
@@ -122,6 +127,35 @@ impl PlannerEntry {
             prepare: Arc::new(prepare),
             ..self
         }
+    }
+
+    /// The same, which does not support the key that `unsupported` names.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn refusing(self, unsupported: fn(&PlanAgentSettings) -> Option<&'static str>) -> Self {
+        Self {
+            unsupported,
+            ..self
+        }
+    }
+
+    /// The same, which reads texts of its own: prompts, or a memory.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn reading(
+        self,
+        digests: impl Fn(&PlanAgentSettings) -> BTreeMap<String, String> + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            digests: Arc::new(digests),
+            ..self
+        }
+    }
+
+    /// BLAKE3 of the texts of its own that it reads, by name, hexadecimal: part of a run's inputs.
+    #[doc(hidden)]
+    pub fn digests(&self, settings: &PlanAgentSettings) -> BTreeMap<String, String> {
+        (self.digests)(settings)
     }
 
     /// Prepares for the simulations of a run: loads the checkpoint of a planner that needs one.

@@ -2,6 +2,7 @@
 
 use super::assist::Assistance;
 use super::code::PlannerCode;
+use super::outputs::{DrivingAction, WaypointList};
 use std::fmt;
 
 /// A model's answer that was read.
@@ -11,13 +12,17 @@ pub enum PlannerAnswer {
     Code(PlannerCode),
     /// The waypoints or parameters of LLM-ASSIST.
     Assistance(Assistance),
+    /// Six waypoints, half a second apart.
+    Waypoints(WaypointList),
+    /// One of five actions.
+    Action(DrivingAction),
 }
 
 impl PlannerAnswer {
     pub fn code(&self) -> Option<PlannerCode> {
         match self {
             Self::Code(code) => Some(*code),
-            Self::Assistance(_) => None,
+            Self::Assistance(_) | Self::Waypoints(_) | Self::Action(_) => None,
         }
     }
 }
@@ -27,6 +32,8 @@ impl fmt::Display for PlannerAnswer {
         match self {
             Self::Code(code) => code.fmt(f),
             Self::Assistance(assistance) => assistance.fmt(f),
+            Self::Waypoints(waypoints) => waypoints.fmt(f),
+            Self::Action(action) => action.fmt(f),
         }
     }
 }
@@ -40,5 +47,17 @@ impl From<PlannerCode> for PlannerAnswer {
 impl From<Assistance> for PlannerAnswer {
     fn from(assistance: Assistance) -> Self {
         Self::Assistance(assistance)
+    }
+}
+
+impl From<WaypointList> for PlannerAnswer {
+    fn from(waypoints: WaypointList) -> Self {
+        Self::Waypoints(waypoints)
+    }
+}
+
+impl From<DrivingAction> for PlannerAnswer {
+    fn from(action: DrivingAction) -> Self {
+        Self::Action(action)
     }
 }

@@ -10,7 +10,8 @@ use super::history::{AnswerHistory, Speculation};
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
 use super::proposals::Proposals;
-use super::round::Round;
+use super::round::{Round, RoundName};
+use super::tool::ToolUse;
 use super::variables;
 use crate::environment::text::Description;
 use image::RgbImage;
@@ -31,7 +32,8 @@ pub struct ScenarioPrompt {
     pub description: Option<Description>,
     /// The names that planner code may use.
     pub names: Names,
-    /// The meaning of the image's colors, for the system prompt.
+    /// The meaning of the image's colors, for the system prompt; empty for a model that reads text
+    /// alone.
     pub legend: String,
 }
 
@@ -55,7 +57,7 @@ pub struct Feedback {
 /// Record of one round: prompt, answer, and what it cost.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct RoundRecord {
-    pub round: Round,
+    pub round: RoundName,
     pub prompt: String,
     /// BLAKE3 of the whole chat before the answer.
     pub prompt_hash: String,
@@ -66,6 +68,9 @@ pub struct RoundRecord {
     pub constraint: ConstraintUse,
     /// Tokens read and written.
     pub tokens: TokenCounts,
+    /// The tool that the answer calls, with what it gave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tool: Option<ToolUse>,
     /// Wall time; written apart from the rest of a record.
     #[serde(skip)]
     pub time: RoundTime,
@@ -267,12 +272,12 @@ impl<'a> Reasoning<'a> {
                 instruction = MotionInstruction::find(&answer.text);
             }
             self.history.set(round, answer.ids.clone());
-            rounds.push(record(round, prompt, answer));
+            rounds.push(round_record(round, prompt, answer));
             less_likely = others;
         }
         let code = rounds
             .last()
-            .filter(|last| last.round == Round::Code)
+            .filter(|last| last.round == RoundName::Code)
             .map_or("", |last| last.answer.as_str());
         let names = &self.scenario.names;
         let parsed = parse(code, names);
@@ -375,15 +380,16 @@ pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String,
 }
 
 /// The record of an answered round.
-pub(super) fn record(round: Round, prompt: String, answer: Answer) -> RoundRecord {
+pub fn round_record(round: impl Into<RoundName>, prompt: String, answer: Answer) -> RoundRecord {
     RoundRecord {
-        round,
+        round: round.into(),
         prompt,
         prompt_hash: answer.prompt_hash,
         answer: answer.text,
         finish: answer.finish,
         constraint: answer.constraint,
         tokens: answer.tokens,
+        tool: None,
         time: answer.time,
     }
 }

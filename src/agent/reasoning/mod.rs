@@ -14,12 +14,15 @@ mod fitting;
 mod grammar;
 mod history;
 mod instruction;
+mod outputs;
 mod prompt_set;
 mod prompt_source;
 mod proposals;
 mod question;
+mod question_prompts;
 mod round;
 mod templates;
+mod tool;
 mod variables;
 
 pub use answer::PlannerAnswer;
@@ -34,7 +37,7 @@ pub use config::ReasoningConfig;
 pub(crate) use engine::ReasoningTrace;
 pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningSettings, RoundRecord, ScenarioPrompt,
-    feedback_text, round_prompt, system_prompt,
+    feedback_text, round_prompt, round_record, system_prompt,
 };
 pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
@@ -42,8 +45,11 @@ pub use history::{AnswerHistory, Speculation};
 pub use instruction::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction,
 };
+pub use outputs::{DrivingAction, LISTED_WAYPOINTS, SeenPlace, WaypointList};
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
 pub use prompt_source::{PromptPlace, built_in_prompts};
 pub use proposals::Proposals;
 pub use question::{FreeQuestion, question_prompt};
-pub use round::Round;
+pub use question_prompts::QuestionPrompts;
+pub use round::{Round, RoundName};
+pub use tool::ToolUse;

@@ -210,6 +210,20 @@ mod tests {
     }
 
     #[test]
+    fn without_a_picture_no_prompt_speaks_of_one() {
+        for name in ["paper", "brief", "compact", "compact-2"] {
+            let set = PromptSet::open(name).unwrap();
+            let system = |legend| set.system(super::super::variables::system(legend)).unwrap();
+            let (with, without) = (system("Colours: none."), system(""));
+            assert!(!without.contains("picture"), "{name}: {without}");
+            assert!(!without.contains("\n\n\n"), "{without}");
+            let long = ["paper", "brief"].contains(&name);
+            assert_eq!(with.contains("picture"), long, "{name}: {with}");
+            assert_eq!(with.contains("Colours: none."), long);
+        }
+    }
+
+    #[test]
     fn a_set_may_bound_answers() {
         let brief = *PromptSet::open("brief").unwrap().forms();
         let limits = Round::ALL

@@ -77,6 +77,24 @@ impl PromptFiles {
         Self::find_in(&data_folder(PROMPTS_VARIABLE, PROMPTS), name, names)
     }
 
+    /// The set of a name from the folder of prompt sets, else these texts of the program.
+    pub(super) fn find_or(
+        name: &str,
+        texts: &[(&'static str, &'static str)],
+    ) -> Result<Self, PromptError> {
+        let folder = data_folder(PROMPTS_VARIABLE, PROMPTS).join(name);
+        let names: Vec<&'static str> = texts.iter().map(|(file, _)| *file).collect();
+        if folder.is_dir() {
+            return Self::read(name, &folder, &names);
+        }
+        let texts = texts.iter().map(|&(file, text)| (file, text.to_owned()));
+        Ok(Self {
+            name: name.to_owned(),
+            place: PromptPlace::BuiltIn,
+            texts: texts.collect(),
+        })
+    }
+
     fn find_in(prompts: &Path, name: &str, names: &[&'static str]) -> Result<Self, PromptError> {
         let override_folder = prompts.join(name);
         if !name.is_empty() && !name.contains(['/', '\\', '.']) && override_folder.is_dir() {

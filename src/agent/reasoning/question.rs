@@ -14,7 +14,7 @@ pub struct FreeQuestion<'a> {
     pub question: &'a str,
     /// The lane-graph text; `None` leaves it out.
     pub scene_text: Option<&'a str>,
-    /// The meaning of the image's colors.
+    /// The meaning of the image's colors; empty where the model sees no image.
     pub legend: &'a str,
 }
 

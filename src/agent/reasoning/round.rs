@@ -1,4 +1,4 @@
-//! The three rounds of an attempt.
+//! The three rounds of an attempt, and the names that questions have in records.
 
 use crate::environment::choice::choice;
 
@@ -11,5 +11,43 @@ choice! {
         Instruction = "instruction",
         /// Planner code.
         Code = "code",
+    }
+}
+
+choice! {
+    /// What a question to a language agent's model asks for, in records.
+    pub enum RoundName {
+        /// The paper's first round.
+        Understanding = "understanding",
+        /// The paper's second round.
+        Instruction = "instruction",
+        /// One line of code.
+        Code = "code",
+        /// A list of waypoints.
+        Waypoints = "waypoints",
+        /// One of a few actions.
+        Action = "action",
+        /// The action that an earlier answer meant.
+        Extraction = "extraction",
+        /// Whether a kind of information is needed.
+        Need = "need",
+        /// A call of a tool.
+        Tool = "tool",
+        /// Which experience of a memory fits.
+        Experience = "experience",
+        /// Thoughts without a plan.
+        Thoughts = "thoughts",
+        /// What is to be learned from an accident.
+        Lesson = "lesson",
+    }
+}
+
+impl From<Round> for RoundName {
+    fn from(round: Round) -> Self {
+        match round {
+            Round::Understanding => Self::Understanding,
+            Round::Instruction => Self::Instruction,
+            Round::Code => Self::Code,
+        }
     }
 }

@@ -7,7 +7,7 @@ use super::question::FreeQuestion;
 use minijinja::{Value, context};
 
 /// Variables of `system`: the same for all calls of a run. `legend` is the meaning of the image's
-/// colors.
+/// colors, empty for a model that reads text alone.
 pub(super) fn system(legend: &str) -> Value {
     context! {
         function => FUNCTION,

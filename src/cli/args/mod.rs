@@ -2,6 +2,7 @@
 
 mod ask;
 mod data;
+mod memory;
 mod model;
 mod models;
 mod results;
@@ -11,6 +12,7 @@ mod studies;
 
 pub(super) use ask::AskArguments;
 pub(super) use data::DataArguments;
+pub(super) use memory::{FillArguments, MemoryAgent, MemoryCommand};
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{
@@ -152,6 +154,9 @@ pub(super) enum Command {
     /// A state is a BEV image and the three rounds with their answers.
     #[command(after_long_help = help::DATASET)]
     Dataset(DatasetArguments),
+    /// Fill the memory of a language agent.
+    #[command(subcommand, after_long_help = help::MEMORY)]
+    Memory(MemoryCommand),
     /// Reproduce the paper's tables and figures, and run further studies.
     #[command(after_long_help = help::STUDY)]
     Study(StudyArguments),
@@ -165,8 +170,9 @@ pub(super) enum Command {
     Config(ConfigArguments),
     /// Print a script that completes commands in a shell.
     ///
-    /// It completes commands and options, and the names of planners, splits, scenario types, studies,
-    /// models, prompt sets, challenges and settings. Models are those that `models list` shows here.
+    /// It asks the program at each press of Tab, and completes commands, options and paths, and the
+    /// names of planners, splits, scenario types, studies, models, prompt sets, challenges and
+    /// settings. Models are those of the working directory.
     #[command(after_long_help = help::COMPLETIONS)]
     Completions {
         /// The shell.
@@ -190,6 +196,7 @@ impl Command {
             Self::Plan(flags) => flags.model.flags(),
             Self::Ask(flags) => flags.model.flags(),
             Self::Dataset(flags) => flags.model.flags(),
+            Self::Memory(MemoryCommand::Fill(flags)) => flags.model.flags(),
             Self::Study(flags) => flags.model.flags(),
             Self::Bench(flags) => flags.model.flags(),
             Self::Models(command) => command.flags(),

@@ -6,6 +6,7 @@ use crate::picture::check_output;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
+use image::RgbImage;
 use indicatif::HumanDuration;
 use planagent_agent::environment::bev::{Palette, render};
 use planagent_agent::environment::text::write;
@@ -46,11 +47,9 @@ struct Record<'a> {
 
 /// Puts a question about a recorded scene to the model, and prints the answer as it is generated.
 pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    // What is wrong with the question is said before a model loads, which may take minutes.
     if flags.question.trim().is_empty() {
         bail!("the question is empty; write it as one word of the command line, in quotes");
-    }
-    if !config.environment.bev {
-        bail!("environment.bev is false, and ask shows a picture; leave the setting out");
     }
     let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
@@ -61,19 +60,22 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
     let (model, prompts, reasoning) = loaded.parts().context("there is no model to ask")?;
     let history = history(&scenario, iteration);
     let scene = scenario.scene(frame, &history);
-    let scene_text = flags
-        .lane_graph
+    let image = picture(model, &scene, config)?;
+    // What sees nothing else is asked about the text.
+    let scene_text = (flags.lane_graph || image.is_none())
         .then(|| lane_graph(&scene, prompts, config))
         .transpose()?;
-    let image = match model.describe().image_size {
-        Some(pixels) => Arc::new(render(
-            &scene,
-            &BevView::new(pixels, config.environment.view_m)?,
+    match (&image, &flags.image) {
+        (None, Some(_)) => bail!(
+            "--image: the model {} reads text alone, so there is no picture to save",
+            model.name()
+        ),
+        (None, None) => printer.note(format!(
+            "{} reads text alone: the question is about the lane-graph text, not about a picture",
+            model.name()
         )),
-        None => bail!("the model {} reads no pictures", model.name()),
-    };
-    if let Some(file) = &flags.image {
-        file.save(&image)?;
+        (Some(image), Some(file)) => file.save(image)?,
+        (Some(_), None) => {}
     }
     if prompts.forms().scene_text.is_for_small_models() {
         let name = model.name();
@@ -81,7 +83,10 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
             "{name} was trained on the prompts of its own set alone: expect no sensible answer to a free question"
         ));
     }
-    let legend = Palette::legend();
+    let legend = image
+        .as_ref()
+        .map(|_| Palette::legend())
+        .unwrap_or_default();
     let question = FreeQuestion {
         question: &flags.question,
         scene_text: scene_text.as_deref(),
@@ -97,7 +102,7 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
     };
     let prefix = PromptPrefix {
         system: system.clone(),
-        image: Some(image),
+        image,
     };
     tell_time(model, &[&system, &prompt], request.max_new_tokens, printer);
     let answer = match asked(model, &prefix, &prompt, &request, config.seed, printer) {
@@ -124,12 +129,28 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
             first_token_s: answer.time.first_token / 1000.0,
         })?;
     }
-    tell(&answer, flags, printer);
+    tell(&answer, prefix.image.is_some(), flags, printer);
     Ok(if answer.text.trim().is_empty() {
         Exit::SomeFailed
     } else {
         Exit::Success
     })
+}
+
+/// The picture of a scene for a model; none for one that reads text alone.
+fn picture(
+    model: &dyn Mllm,
+    scene: &SceneView<'_>,
+    config: &Config,
+) -> anyhow::Result<Option<Arc<RgbImage>>> {
+    let Some(pixels) = model.describe().image_size else {
+        return Ok(None);
+    };
+    if !config.environment.bev {
+        bail!("environment.bev is false, and ask shows a picture; leave the setting out");
+    }
+    let view = BevView::new(pixels, config.environment.view_m)?;
+    Ok(Some(Arc::new(render(scene, &view))))
 }
 
 /// The answer; unless stdout carries JSON, its pieces are printed as they come.
@@ -186,13 +207,14 @@ fn lane_graph(
 }
 
 /// What the answer cost, and whether it is cut off.
-fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
+fn tell(answer: &Answer, sees: bool, flags: &AskArguments, printer: Printer) {
     let Answer { tokens, time, .. } = answer;
     let read = tokens.text + tokens.image + tokens.cached;
     let seconds = fixed(time.total / 1000.0, 2);
     printer.note(format!(
-        "{} tokens in {seconds} s, after {read} tokens of prompt and picture",
-        tokens.sampled
+        "{} tokens in {seconds} s, after {read} tokens of prompt{}",
+        tokens.sampled,
+        if sees { " and picture" } else { "" }
     ));
     match answer.finish {
         _ if answer.text.trim().is_empty() => {

@@ -13,7 +13,7 @@ use planagent_lab::report::{
     BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table,
 };
 use planagent_mllm::{
-    GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model,
+    GgufPart, ModelPlace, ModelRegistry, ModelShape, ModelSource, PromptSet, Trust, export_model,
 };
 use planagent_runs::report::{ReportError, check_writable, stamp};
 use planagent_runs::runner::{Config, build_commit, cpu, memory, model_registry};
@@ -41,6 +41,7 @@ pub(crate) fn run(
         .out
         .clone()
         .unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
+    // All that can be refused is refused before the first measurement, which may take an hour.
     check_writable(flags.resume.as_deref().unwrap_or(&out))?;
     flags.weights.as_deref().map_or(Ok(()), check_writable)?;
     let registry = model_registry(config, &listener(printer));
@@ -75,20 +76,7 @@ pub(crate) fn run(
     };
     crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
-    let own = || {
-        let mut command = crate::this_program().unwrap_or_else(|_| Command::new("planagent"));
-        command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
-        if let Some(context) = config.mllm.context {
-            command.args(["--context", &context.to_string()]);
-        }
-        if let Some(adapter) = &config.mllm.adapter {
-            command.arg("--adapter").arg(&adapter.path);
-        }
-        command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
-        command.args(config.mllm.offline.then_some("--offline"));
-        command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));
-        command
-    };
+    let own = || measuring_process(config, settings.threads);
     let committed: Result<(), ReportError> = measure(
         &left,
         &settings,
@@ -117,10 +105,15 @@ pub(crate) fn run(
         &figures,
         &bench_markdown(&figures, &metadata.command.join(" "), &machine),
     )?;
+    show(&figures, &folder, printer)
+}
+
+/// Prints the table and where the results are. Success if every model was measured.
+fn show(figures: &BenchFigures, folder: &BenchFolder, printer: Printer) -> anyhow::Result<Exit> {
     if printer.is_json() {
-        printer.json(&figures)?;
+        printer.json(figures)?;
     } else {
-        printer.table(bench_table(&figures, printer.line_width()));
+        printer.table(bench_table(figures, printer.line_width()));
     }
     if folder.has_measurements() {
         printer.note(format!("results in {}", folder.path().display()));
@@ -132,6 +125,22 @@ pub(crate) fn run(
     } else {
         Exit::SomeFailed
     })
+}
+
+/// The command that starts the measuring process with what a configuration says of models.
+fn measuring_process(config: &Config, threads: usize) -> Command {
+    let mut command = crate::this_program().unwrap_or_else(|_| Command::new("planagent"));
+    command.args([BENCH_PROCESS, "--threads", &threads.to_string()]);
+    if let Some(context) = config.mllm.context {
+        command.args(["--context", &context.to_string()]);
+    }
+    if let Some(adapter) = &config.mllm.adapter {
+        command.arg("--adapter").arg(&adapter.path);
+    }
+    command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
+    command.args(config.mllm.offline.then_some("--offline"));
+    command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));
+    command
 }
 
 /// Says at Ctrl-C how the bench goes on: its folder exists from the first measured model on.
@@ -166,6 +175,17 @@ fn candidates(
     let mut all = Vec::new();
     let specs = named.iter().map(|name| registry.find(name));
     let specs = specs.collect::<Result<Vec<_>, _>>()?;
+    // It would fail after the others were measured.
+    for spec in &specs {
+        if let ModelSource::Endpoint(server) = &spec.source {
+            bail!(
+                "bench measures models in this process, and {} runs {}; `planagent models check {}` tries a server",
+                server.endpoint,
+                spec.name,
+                spec.name
+            );
+        }
+    }
     let shown = shown_names(named, &specs.iter().map(|spec| spec.name.as_str()));
     for ((name, spec), shown) in named.iter().zip(specs).zip(&shown) {
         let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
@@ -308,6 +328,7 @@ fn as_gguf(
     {
         return Ok(pair(model, mmproj));
     }
+    // Both engines must read the same numbers.
     let Some(weight_format) = config.mllm.quantize else {
         bail!(
             "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"

@@ -6,13 +6,14 @@ use crate::settings::{Setting, Settings};
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::reasoning::PromptSet;
+use planagent_files::write_whole;
 use planagent_mllm::MllmError;
 use planagent_runs::report::table::terminal::joined;
 use planagent_runs::runner::{Config, model_registry, silent};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{ErrorKind, Write};
+use std::fs;
+use std::path::Path;
 
 /// Column of the origins, behind values that leave room for it.
 const ORIGIN: usize = 43;
@@ -77,17 +78,15 @@ pub(crate) fn run(
 
 /// Writes the commented file, and never over another one.
 fn init(printer: Printer) -> anyhow::Result<Exit> {
-    let file = File::create_new(FILE);
-    let written = file.and_then(|mut file| file.write_all(COMMENTED.as_bytes()));
-    match written {
-        Ok(()) => printer.line(FILE),
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-            bail!(
-                "{FILE} exists and stays as it is; `planagent config --explain` prints what it may have"
-            )
-        }
-        Err(error) => return Err(error).with_context(|| format!("cannot write {FILE}")),
+    // Also a link that leads nowhere is the user's.
+    if fs::symlink_metadata(FILE).is_ok() {
+        bail!(
+            "{FILE} exists and stays as it is; `planagent config --explain` prints what it may have"
+        );
     }
+    write_whole(Path::new(FILE), COMMENTED.as_bytes())
+        .with_context(|| format!("cannot write {FILE}"))?;
+    printer.line(FILE);
     Ok(Exit::Success)
 }
 

@@ -33,6 +33,7 @@ pub(crate) fn run(
 ) -> anyhow::Result<Exit> {
     check_writable(&flags.out)?;
     interrupt::advise("the same command goes on", printer)?;
+    // Before a folder begins that may take hours.
     check_options(flags)?;
     if flags.kind == DatasetKind::Imitation {
         return imitation(flags, config, printer);
@@ -47,12 +48,12 @@ pub(crate) fn run(
         modified: flags.modified,
     };
     check_folder(&flags.out, &settings)?;
-    let loaded = if flags.driven {
-        Some(load_model(config, &listener(printer))?)
+    let driver = if flags.driven {
+        let listener = listener(printer);
+        Some(load_model(config, &listener)?.agent_parts(config, &listener)?)
     } else {
         None
     };
-    let driver = loaded.as_ref().map(|loaded| loaded.agent_parts(config));
     let settings = Settings {
         driver: driver.as_ref(),
         ..settings

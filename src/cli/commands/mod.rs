@@ -6,6 +6,7 @@ pub(super) mod compare;
 pub(super) mod completions;
 pub(super) mod config;
 pub(super) mod dataset;
+pub(super) mod memory;
 pub(super) mod merge;
 pub(super) mod models;
 pub(super) mod plan;

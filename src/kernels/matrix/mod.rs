@@ -68,6 +68,9 @@ impl Matrix {
                 values.len()
             );
         }
+        let StoredFormat::Ggml(format) = weight_format.stored() else {
+            bail!("{weight_format} is read from files, and no number is rounded to it");
+        };
         let mut blocks =
             vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
         let pieces =
@@ -76,7 +79,7 @@ impl Matrix {
             .zip(values.par_chunks(PIECE))
             .try_for_each(|(blocks, values)| {
                 let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
-                blocks.copy_from_slice(&QTensor::quantize(&tensor, weight_format.ggml())?.data()?);
+                blocks.copy_from_slice(&QTensor::quantize(&tensor, format)?.data()?);
                 Result::Ok(())
             })?;
         Self::from_blocks(weight_format, outputs, inputs, &blocks)

@@ -5,7 +5,6 @@
 //! original blocks can be written again bit for bit. The packed weights take hardly more memory
 //! than the file.
 
-use super::blocks::widen;
 use super::line::{CacheLine, LANES};
 use super::weight_format::WeightFormat;
 use rayon::prelude::*;
@@ -125,6 +124,30 @@ impl Layout {
                     (20, 4, 4, None),
                     (0, 2, 1, None),
                     (18, 2, 1, None),
+                ],
+            ),
+            WeightFormat::Iq4Nl => return Self::for_format(WeightFormat::Q4_0),
+            WeightFormat::Iq4Xs => (
+                256,
+                &[
+                    (8, 4, 32, None),
+                    (0, 2, 1, None),
+                    (2, 2, 1, None),
+                    (4, 1, 4, None),
+                ],
+            ),
+            // Four exponents of a byte fill a cache line.
+            WeightFormat::Mxfp4 => (
+                128,
+                &[
+                    (1, 4, 4, None),
+                    (18, 4, 4, None),
+                    (35, 4, 4, None),
+                    (52, 4, 4, None),
+                    (0, 1, 1, None),
+                    (17, 1, 1, None),
+                    (34, 1, 1, None),
+                    (51, 1, 1, None),
                 ],
             ),
             WeightFormat::Q3K => (
@@ -291,7 +314,7 @@ impl PackedTiles {
     }
 
     pub(super) fn read_row(&self, index: usize, row: &mut [f32]) -> candle_core::Result<()> {
-        row.copy_from_slice(&widen(self.weight_format.ggml(), self.row_blocks(index))?);
+        row.copy_from_slice(&self.weight_format.stored().widen(self.row_blocks(index))?);
         Ok(())
     }
 

@@ -5,7 +5,7 @@ use super::float::{Float, Half, Single};
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
-use super::quantized::{Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
+use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 use rayon::prelude::*;
@@ -119,6 +119,9 @@ pub(super) fn multiply(
         WeightFormat::Q5_0 => multiply_as::<Q5_0>(tiles, x, out, instructions),
         WeightFormat::Q4_1 => multiply_as::<Q4_1>(tiles, x, out, instructions),
         WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, out, instructions),
+        WeightFormat::Iq4Nl => multiply_as::<Iq4Nl>(tiles, x, out, instructions),
+        WeightFormat::Iq4Xs => multiply_as::<Iq4Xs>(tiles, x, out, instructions),
+        WeightFormat::Mxfp4 => multiply_as::<Mxfp4>(tiles, x, out, instructions),
         WeightFormat::Q4_0 => multiply_as::<Q4_0>(tiles, x, out, instructions),
         WeightFormat::Q3K => multiply_as::<Q3K>(tiles, x, out, instructions),
     }

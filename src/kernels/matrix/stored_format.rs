@@ -1,4 +1,4 @@
-//! Number formats of tensors in files, and how those without a product become `q8_0`.
+//! Number formats of tensors in files.
 
 use super::blocks::widen;
 use candle_core::Result;
@@ -19,16 +19,14 @@ pub enum StoredFormat {
 }
 
 /// The table of [`StoredFormat::Iq4Nl`] and [`StoredFormat::Iq4Xs`] (`kvalues_iq4nl`).
-const IQ4: [i8; 16] = [
+pub(super) const IQ4: [i8; 16] = [
     -127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113,
 ];
 /// Twice the values of the 4-bit floats (`kvalues_mxfp4`).
-const MXFP4: [i8; 16] = [0, 1, 2, 3, 4, 6, 8, 12, 0, -1, -2, -3, -4, -6, -8, -12];
+pub(super) const MXFP4: [i8; 16] = [0, 1, 2, 3, 4, 6, 8, 12, 0, -1, -2, -3, -4, -6, -8, -12];
 /// Exponent of [`MXFP4`]'s scale for the stored byte 0: its bias, and one for the doubled table.
-const MXFP4_BIAS: i32 = 128;
-/// Largest exponent of a power of two in half precision.
-const MAX_HALF_EXPONENT: i32 = 15;
-/// Numbers in a block of `q8_0`.
+pub(super) const MXFP4_BIAS: i32 = 128;
+/// Numbers with one scale.
 /// Why: docs/decisions/121-blocks-of-32.md.
 const BLOCK: usize = 32;
 
@@ -77,35 +75,25 @@ impl StoredFormat {
         (8 * self.type_size()) as f64 / self.block_size() as f64
     }
 
-    /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half
-    /// precision.
-    pub fn is_within_q8_0(self) -> bool {
-        !matches!(self, Self::Ggml(_))
-    }
-
     /// The values of whole blocks.
     pub fn widen(self, bytes: Vec<u8>) -> Result<Vec<f32>> {
-        match (self, self.to_q8_0(&bytes)) {
-            (Self::Ggml(format), _) => widen(format, bytes),
-            (_, Some(blocks)) => widen(GgmlDType::Q8_0, blocks),
-            (format, None) => candle_core::bail!("{} is not widened to f32", format.name()),
-        }
-    }
-
-    /// Whole blocks as blocks of `q8_0`, where [`Self::is_within_q8_0`].
-    pub fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
-        let mut out = Vec::with_capacity(
-            bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2),
-        );
+        let mut values = Vec::new();
         match self {
-            Self::Iq4Nl => each::<18>(bytes, |block| {
-                put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4));
+            Self::Ggml(format) => return widen(format, bytes),
+            Self::Iq4Nl => each::<18>(&bytes, |block| {
+                put(
+                    &mut values,
+                    half(block, 0).to_f32(),
+                    &nibbles(&block[2..], &IQ4),
+                );
             }),
-            Self::Iq4Xs => each::<136>(bytes, |block| iq4_xs(block, &mut out)),
-            Self::Mxfp4 => each::<17>(bytes, |block| mxfp4(block, &mut out)),
-            Self::Ggml(_) => return None,
+            Self::Iq4Xs => each::<136>(&bytes, |block| iq4_xs(block, &mut values)),
+            Self::Mxfp4 => each::<17>(&bytes, |block| {
+                let scale = f64::from(i32::from(block[0]) - MXFP4_BIAS).exp2() as f32;
+                put(&mut values, scale, &nibbles(&block[1..], &MXFP4));
+            }),
         }
-        Some(out)
+        Ok(values)
     }
 }
 
@@ -113,10 +101,9 @@ fn each<const BYTES: usize>(bytes: &[u8], mut convert: impl FnMut(&[u8; BYTES]))
     bytes.as_chunks::<BYTES>().0.iter().for_each(&mut convert);
 }
 
-/// Writes a block of `q8_0`.
-fn put(out: &mut Vec<u8>, scale: f16, numbers: &[i8; BLOCK]) {
-    out.extend(scale.to_le_bytes());
-    out.extend(numbers.iter().map(|number| number.cast_unsigned()));
+/// Adds the values of numbers with one scale.
+fn put(values: &mut Vec<f32>, scale: f32, numbers: &[i8; BLOCK]) {
+    values.extend(numbers.iter().map(|number| scale * f32::from(*number)));
 }
 
 fn half(block: &[u8], at: usize) -> f16 {
@@ -135,28 +122,15 @@ fn nibbles(bytes: &[u8], table: &[i8; 16]) -> [i8; BLOCK] {
     numbers
 }
 
-fn iq4_xs(block: &[u8; 136], out: &mut Vec<u8>) {
+fn iq4_xs(block: &[u8; 136], values: &mut Vec<f32>) {
     let d = half(block, 0).to_f32();
     let high = u16::from_le_bytes([block[2], block[3]]);
     for part in 0..8 {
         let low = block[4 + part / 2] >> (part % 2 * 4) & 15;
         let scale = i16::from(low) | ((high >> (2 * part) & 3) << 4).cast_signed();
         let numbers = nibbles(&block[8 + 16 * part..24 + 16 * part], &IQ4);
-        put(out, f16::from_f32(d * f32::from(scale - 32)), &numbers);
+        put(values, d * f32::from(scale - 32), &numbers);
     }
-}
-
-/// The scale is a power of two. One that is too large for half precision is divided by up to 8,
-/// which the numbers take.
-fn mxfp4(block: &[u8; 17], out: &mut Vec<u8>) {
-    let exponent = i32::from(block[0]) - MXFP4_BIAS;
-    let shift = (exponent - MAX_HALF_EXPONENT).clamp(0, 3);
-    let table = MXFP4.map(|number| number << shift);
-    put(
-        out,
-        f16::from_f32((f64::from(exponent - shift)).exp2() as f32),
-        &nibbles(&block[1..], &table),
-    );
 }
 
 #[cfg(test)]

@@ -6,6 +6,16 @@ use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+/// Formats that numbers are rounded to, and those that only files have.
+fn every_format() -> impl Iterator<Item = WeightFormat> {
+    let only_in_files = [
+        WeightFormat::Iq4Nl,
+        WeightFormat::Iq4Xs,
+        WeightFormat::Mxfp4,
+    ];
+    WeightFormat::ALL.into_iter().chain(only_in_files)
+}
+
 /// Random blocks with scales below `largest`.
 fn random_blocks(
     weight_format: WeightFormat,
@@ -25,6 +35,10 @@ fn random_blocks(
         for at in weight_format.halves() {
             let scale = f16::from_f32(random.random_range(-largest..largest));
             block[*at..at + 2].copy_from_slice(&scale.to_le_bytes());
+        }
+        if weight_format == WeightFormat::Mxfp4 {
+            // Exponents from 2⁻²⁴ to 2.
+            block[0] = random.random_range(104..130);
         }
     }
     bytes
@@ -98,7 +112,7 @@ proptest! {
         outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
     ) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for weight_format in WeightFormat::ALL {
+        for weight_format in every_format() {
             let inputs = blocks * if weight_format.block() == 1 { 75 } else { weight_format.block() };
             let bytes = random_blocks(weight_format, outputs, inputs, 2f32.powi(exponent), &mut random);
             let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
@@ -119,7 +133,7 @@ proptest! {
     #[test]
     fn blocks_come_back_bit_for_bit(outputs in 1usize..40, blocks in 1usize..4, seed: u64) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for weight_format in WeightFormat::ALL {
+        for weight_format in every_format() {
             let inputs = blocks * weight_format.block();
             let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
             let matrix = Matrix::from_blocks(weight_format, outputs, inputs, &bytes).unwrap();
@@ -134,7 +148,7 @@ proptest! {
 fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let (outputs, inputs, rows) = (300, 512, 21);
-    for weight_format in WeightFormat::ALL {
+    for weight_format in every_format() {
         let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
         let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
         let x = random_rows(rows, inputs, &mut random);
@@ -163,7 +177,7 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 #[test]
 fn nan_and_infinity_appear_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
-    for weight_format in WeightFormat::ALL {
+    for weight_format in every_format() {
         let bytes = random_blocks(weight_format, 20, 512, 1.0, &mut random);
         let tiles = PackedTiles::pack(weight_format, 20, 512, &bytes);
         for strange in [f32::NAN, f32::INFINITY] {
@@ -264,6 +278,25 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
             .forward(&Tensor::zeros((2, 255), candle_core::DType::F32, &Device::Cpu).unwrap())
             .is_err()
     );
+}
+
+/// ggml's own rounding never writes -128, but the folders of quantizers have it.
+#[test]
+fn the_smallest_signed_byte_is_multiplied_as_others() {
+    let inputs = 64;
+    let mut block = vec![0x80; 34];
+    block[..2].copy_from_slice(&f16::from_f32(0.5).to_le_bytes());
+    let tiles = PackedTiles::pack(WeightFormat::Q8_0, 1, inputs, &block.repeat(2));
+    for value in [1.0, -1.0] {
+        for instructions in Instructions::available() {
+            let product = multiplied(&tiles, &vec![value; inputs], instructions)[0];
+            let expected = -64.0 * 64.0 * value;
+            assert!(
+                (product - expected).abs() < 1e-2,
+                "{instructions:?}: {product}"
+            );
+        }
+    }
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! The weight formats of matrices.
 
+use super::stored_format::StoredFormat;
 use candle_core::quantized::GgmlDType;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
@@ -31,6 +33,13 @@ pub enum WeightFormat {
     /// 4 bits a number, a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
     #[serde(rename = "q4_k")]
     Q4K,
+    /// 4 bits that choose from a table, and a scale for every 32 (4.5 bits). Only files have it.
+    Iq4Nl,
+    /// 4 bits that choose from a table, and a scale for every 32, in blocks of 256 (4.25 bits). Only
+    /// files have it.
+    Iq4Xs,
+    /// 4-bit floats and an exponent for every 32 (4.25 bits). Only files have it.
+    Mxfp4,
     /// 4 bits a number and a scale for every 32 (4.5 bits).
     Q4_0,
     /// 3 bits a number and a scale for every 16, in blocks of 256 (3.44 bits).
@@ -39,7 +48,7 @@ pub enum WeightFormat {
 }
 
 impl WeightFormat {
-    /// From largest to smallest.
+    /// Those that numbers can be rounded to, from largest to smallest.
     pub const ALL: [Self; 11] = [
         Self::F32,
         Self::F16,
@@ -66,6 +75,9 @@ impl WeightFormat {
             Self::Q5_0 => "q5_0",
             Self::Q4_1 => "q4_1",
             Self::Q4K => "q4_k",
+            Self::Iq4Nl => "iq4_nl",
+            Self::Iq4Xs => "iq4_xs",
+            Self::Mxfp4 => "mxfp4",
             Self::Q4_0 => "q4_0",
             Self::Q3K => "q3_k",
         }
@@ -75,8 +87,14 @@ impl WeightFormat {
     pub fn block(self) -> usize {
         match self {
             Self::F32 | Self::F16 => 1,
-            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => 32,
-            Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K => 256,
+            Self::Q8_0
+            | Self::Q5_1
+            | Self::Q5_0
+            | Self::Q4_1
+            | Self::Q4_0
+            | Self::Iq4Nl
+            | Self::Mxfp4 => 32,
+            Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K | Self::Iq4Xs => 256,
         }
     }
 
@@ -92,7 +110,9 @@ impl WeightFormat {
             Self::Q5_0 => 22,
             Self::Q4_1 => 20,
             Self::Q4K => 144,
-            Self::Q4_0 => 18,
+            Self::Q4_0 | Self::Iq4Nl => 18,
+            Self::Iq4Xs => 136,
+            Self::Mxfp4 => 17,
             Self::Q3K => 110,
         }
     }
@@ -101,8 +121,8 @@ impl WeightFormat {
     /// its minima.
     pub fn halves(self) -> &'static [usize] {
         match self {
-            Self::F32 => &[],
-            Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 => &[0],
+            Self::F32 | Self::Mxfp4 => &[],
+            Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 | Self::Iq4Nl | Self::Iq4Xs => &[0],
             Self::Q5_1 | Self::Q5K | Self::Q4_1 | Self::Q4K => &[0, 2],
             Self::Q6K => &[208],
             Self::Q3K => &[108],
@@ -126,8 +146,14 @@ impl WeightFormat {
     /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
     pub fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
-            Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
-            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => Self::F16,
+            Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K | Self::Iq4Xs => Self::Q8_0,
+            Self::Q8_0
+            | Self::Q5_1
+            | Self::Q5_0
+            | Self::Q4_1
+            | Self::Q4_0
+            | Self::Iq4Nl
+            | Self::Mxfp4 => Self::F16,
             Self::F16 | Self::F32 => return self,
         };
         if inputs.is_multiple_of(self.block()) {
@@ -137,9 +163,12 @@ impl WeightFormat {
         }
     }
 
-    /// Candle's name of the same format.
-    pub fn ggml(self) -> GgmlDType {
-        match self {
+    /// The same format in a file.
+    pub fn stored(self) -> StoredFormat {
+        let format = match self {
+            Self::Iq4Nl => return StoredFormat::Iq4Nl,
+            Self::Iq4Xs => return StoredFormat::Iq4Xs,
+            Self::Mxfp4 => return StoredFormat::Mxfp4,
             Self::F32 => GgmlDType::F32,
             Self::F16 => GgmlDType::F16,
             Self::Q8_0 => GgmlDType::Q8_0,
@@ -151,7 +180,15 @@ impl WeightFormat {
             Self::Q4K => GgmlDType::Q4K,
             Self::Q4_0 => GgmlDType::Q4_0,
             Self::Q3K => GgmlDType::Q3K,
-        }
+        };
+        StoredFormat::Ggml(format)
+    }
+
+    /// Reads a format that weights can be rounded to, or null.
+    pub fn choice<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Self>, D::Error> {
+        let name = Option::<String>::deserialize(deserializer)?;
+        name.map(|name| name.parse().map_err(D::Error::custom))
+            .transpose()
     }
 }
 
@@ -199,10 +236,25 @@ mod tests {
             );
             assert_eq!(
                 weight_format.block_bytes(),
-                weight_format.ggml().type_size()
+                weight_format.stored().type_size()
             );
-            assert_eq!(weight_format.block(), weight_format.ggml().block_size());
+            assert_eq!(weight_format.block(), weight_format.stored().block_size());
         }
+        for only_in_files in ["iq4_nl", "iq4_xs", "mxfp4"] {
+            let format: WeightFormat = serde_json::from_value(only_in_files.into()).unwrap();
+            assert_eq!(
+                (format.name(), format.stored().name().as_str()),
+                (only_in_files, only_in_files)
+            );
+            assert_eq!(format.block_bytes(), format.stored().type_size());
+            assert_eq!(format.block(), format.stored().block_size());
+            assert!(only_in_files.parse::<WeightFormat>().is_err());
+            assert!(WeightFormat::choice(serde_json::Value::from(only_in_files)).is_err());
+        }
+        assert_eq!(
+            WeightFormat::choice(serde_json::Value::from("q4_k")).unwrap(),
+            Some(WeightFormat::Q4K)
+        );
         assert!(
             "q2_k"
                 .parse::<WeightFormat>()

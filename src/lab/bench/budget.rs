@@ -217,6 +217,8 @@ impl CallBudget {
     /// The steps of a call for a model whose image has `image` tokens.
     pub(crate) fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
         let mut steps = match layout {
+            // A model that reads text alone.
+            Layout::PrefixFirst if image == 0 => vec![Step::Keep(self.prefix)],
             Layout::PrefixFirst => vec![Step::Keep(self.prefix), Step::Encode, Step::Image],
             Layout::ImageFirst => vec![
                 Step::Keep(0),

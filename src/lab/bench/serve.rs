@@ -82,7 +82,7 @@ fn load(
     let loaded = Loaded {
         parameters: info.parameters,
         weight_format: probe.weight_format().to_string(),
-        image_side: info.image_size as u32,
+        image_side: info.image_size.map_or(0, |side| side as u32),
         image_tokens,
         context: model.context(image_tokens),
         layout: if info.image_first {

@@ -138,6 +138,7 @@ pub(super) fn label(
         asked
     };
     let names = Names::from_graph(graph);
+    // The prompts are those of the agent, word for word: a model learns on what it will be asked.
     let mut conversation = vec![Message {
         role: "system",
         content: system_prompt(prompts, "")?,

@@ -16,6 +16,7 @@ pub mod twins;
 
 pub use count::Counts;
 pub(crate) use label::LabeledState;
+pub(crate) use scenes::training_scenarios;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use image::RgbImage;

@@ -2,9 +2,9 @@
 
 use super::{DatasetError, Settings, Split};
 use planagent_agent::environment::TextForm;
-use planagent_scenario::Scenario;
 use planagent_scenario::generator::{self, ScenarioType, Spec, types};
 use planagent_scenario::modified::ModifiedName;
+use planagent_scenario::{Scenario, ScenarioRef};
 use planagent_world::InteractionKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -41,6 +41,15 @@ pub(super) const MIX: [ScenarioType; 20] = [
     types::changing_lane::TYPE,
     types::following_lane_with_lead::TYPE,
 ];
+
+/// The first scenarios of training seeds, of each type in turn.
+pub(crate) fn training_scenarios(seed: u64, count: usize) -> Vec<ScenarioRef> {
+    let start = Split::Train.seeds().start;
+    let first = start.saturating_add(seed.saturating_mul(SCENARIOS_PER_SEED));
+    (first..first.saturating_add(count as u64))
+        .map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed).into())
+        .collect()
+}
 
 /// The scenarios of a shard.
 pub(super) fn scenarios(

@@ -9,9 +9,9 @@ mod twins;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use study::{
-    Agreement, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults, RecordingScores,
-    StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults,
-    VariantSimulations,
+    Agreement, AskedFigures, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults,
+    RecordingScores, StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults,
+    VariantResults, VariantSimulations,
 };
 pub use table::{
     bench_markdown, bench_table, realism_table, study_table, token_markdown, token_table,

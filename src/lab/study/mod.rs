@@ -111,6 +111,14 @@ pub enum Column {
     CallTime,
     /// Planning calls in a simulation.
     Calls,
+    /// Simulations with a collision that is the ego's fault.
+    Collisions,
+    /// Questions to the model in a planning call.
+    Questions,
+    /// Tokens that the model reads and writes in a planning call.
+    Tokens,
+    /// Planning calls whose answers gave no plan, and those that were refused.
+    NoPlan,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]
@@ -157,7 +165,9 @@ impl Study {
 
     /// Whether it compares the cost of models.
     pub(crate) fn measures_models(&self) -> bool {
-        self.columns.iter().any(|column| *column != Column::Calls)
+        let is_of_models =
+            |column: &Column| matches!(column, Column::Parameters | Column::CallTime);
+        self.columns.iter().any(is_of_models)
     }
 
     /// Refuses a study whose parts do not fit together.
@@ -187,6 +197,7 @@ impl Study {
         }
         let mut seen = BTreeSet::new();
         let needs_x = matches!(self.figure, Figure::Lines(_));
+        // A table has a cell for each label, and a row for each variant.
         for Variant { labels, x, .. } in &self.variants {
             if labels.len() != self.labels.len() {
                 return Err(format!(

@@ -276,6 +276,7 @@ impl OpenRuns<'_> {
 /// The part of a configuration that a planner's simulations depend on.
 pub(super) fn relevant(mut config: Config, planner: &str, needs: PlannerNeeds) -> Config {
     config.learned = config.learned.only(planner);
+    config.language_agents = config.language_agents.only(planner);
     match needs.settings() {
         UsedSettings::AgentAndModel => {
             (config.mllm.offline, config.mllm.ignore_memory) = (false, false);

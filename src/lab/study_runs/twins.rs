@@ -81,6 +81,7 @@ pub(super) fn judge(
         scenarios: list,
         data: BTreeMap::new(),
     };
+    // Its digest names the folder: answers to other prompts are never taken for these.
     let manifest = manifest(subject, Some(&loaded), &settings)?;
     let inputs = format!(
         "{:?}",

@@ -1,5 +1,5 @@
 //! Token counts of scene descriptions (the paper's table of token utilization): our texts, and
-//! those of GPT-Driver and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that
+//! those of GPT-Driver, LLM-ASSIST, `DiLu` and Agent-Driver of the same scenes, counted with OpenAI's `cl100k_base` (that
 //! of GPT-3.5 and GPT-4) and with the tokenizer of a model at hand.
 //!
 //! The scenes are the recorded states of scenarios at the iterations at which PlanAgent would call
@@ -14,7 +14,10 @@ pub use table::{TokenMean, TokenTable, TokenTableRow};
 
 use planagent_agent::environment::coordinates::{GptDriverText, llm_assist_text};
 use planagent_agent::environment::text::write;
-use planagent_agent::environment::{Description, LaneGraph, LaneGraphError, TextForm};
+use planagent_agent::environment::{
+    Description, GraphedScene, LaneGraph, LaneGraphError, TextForm,
+};
+use planagent_language_agents::{agent_driver_text, dilu_text};
 use planagent_scenario::Scenario;
 use planagent_world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
 use serde::Serialize;
@@ -33,14 +36,20 @@ pub enum SceneText {
     GptDriverObjects,
     /// LLM-ASSIST's facts as far as they are known.
     LlmAssist,
+    /// DiLu's description.
+    Dilu,
+    /// Agent-Driver's motion block, and a tool of each kind.
+    AgentDriver,
 }
 
 impl SceneText {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::GptDriver,
         Self::GptDriverObjects,
         Self::LlmAssist,
+        Self::Dilu,
+        Self::AgentDriver,
         Self::Paper,
         Self::Compact,
     ];
@@ -52,6 +61,8 @@ impl SceneText {
             Self::GptDriver => "GPT-Driver, whole user message",
             Self::GptDriverObjects => "GPT-Driver, objects alone",
             Self::LlmAssist => "LLM-ASSIST, rewritten",
+            Self::Dilu => "DiLu, description",
+            Self::AgentDriver => "Agent-Driver, motion and four tools",
         }
     }
 
@@ -74,6 +85,14 @@ impl SceneText {
                  adjacent lanes at five points; lights; the ten nearest objects within 50 m with position, heading, speed \
                  and size"
             }
+            Self::Dilu => {
+                "its published facts in our sentences: lanes; the ego's motion and set-points; the nearest object ahead and \
+                 behind on its lane and those beside; with ours, the light and the route. Numbers have two decimals"
+            }
+            Self::AgentDriver => {
+                "GPT-Driver's lines about the ego, and what four of its tools tell: the objects within 20 m, where they go, \
+                 whether the place ahead is occupied, and the edges of the road"
+            }
         }
     }
 
@@ -83,18 +102,19 @@ impl SceneText {
             Self::Paper => Some(141.32),
             Self::GptDriver => Some(448.66),
             Self::LlmAssist => Some(425.81),
-            Self::Compact | Self::GptDriverObjects => None,
+            Self::Compact | Self::GptDriverObjects | Self::Dilu | Self::AgentDriver => None,
         }
     }
 
     pub fn describe(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
-        let turn = graph.ego_lane().turn;
         match self {
             Self::Paper => write(&Description::from_graph(graph), TextForm::Paper),
             Self::Compact => write(&Description::from_graph(graph), TextForm::Compact),
-            Self::GptDriver => GptDriverText::from_scene(scene, turn).whole(),
-            Self::GptDriverObjects => GptDriverText::from_scene(scene, turn).objects,
+            Self::GptDriver => GptDriverText::from_scene(scene, graph).whole(),
+            Self::GptDriverObjects => GptDriverText::from_scene(scene, graph).objects,
             Self::LlmAssist => llm_assist_text(scene, graph),
+            Self::Dilu => dilu_text(GraphedScene::new(scene, graph)),
+            Self::AgentDriver => agent_driver_text(GraphedScene::new(scene, graph)),
         }
     }
 }

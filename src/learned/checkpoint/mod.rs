@@ -21,7 +21,7 @@ const LIGHTNING: &str = "model.";
 /// Why a checkpoint cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum CheckpointError {
     #[error("cannot read the checkpoint {}: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },

@@ -228,6 +228,13 @@ fn prepare(
     let Some(base) = weights.base_tensor(tied.as_deref().unwrap_or(name)) else {
         return Err(refused(path, format!("the model has no tensor {name}")));
     };
+    let has_one = weights.norms_have_one() && name.ends_with("norm.weight");
+    if has_one && changes.iter().any(|(_, change)| change.order() == 0) {
+        let problem = format!(
+            "it has {name} of its own, which the GGUF file stores with 1 added; take the model's folder"
+        );
+        return Err(refused(path, problem));
+    }
     changes.sort_by_key(|(_, change)| change.order());
     let mut fitting: Vec<Change> = Vec::with_capacity(changes.len());
     for (tensor, change) in changes {

@@ -6,7 +6,7 @@ use crate::checkpoint::{
     MergedAdapter, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights,
 };
 use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT};
-use crate::gguf::{Entries, GgufLayout, Header};
+use crate::gguf::{Described, GgufLayout, Header};
 use candle_core::quantized::GgmlDType;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -43,14 +43,14 @@ pub(super) fn names_of_llama() -> Names {
 pub(super) struct LlamaLayout;
 
 impl GgufLayout for LlamaLayout {
-    fn opens(&self, _: &Header, _: &Header) -> bool {
+    fn opens(&self, _: &Header, _: Option<&Header>) -> bool {
         false
     }
 
     fn small_files(
         &self,
         _: &Header,
-        _: &Header,
+        _: Option<&Header>,
         _: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         Ok(BTreeMap::new())
@@ -64,7 +64,7 @@ impl GgufLayout for LlamaLayout {
         names_of_llama().in_gguf(canonical)
     }
 
-    fn metadata(&self, _: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+    fn metadata(&self, _: &ModelFiles) -> Result<Described, MllmError> {
         Ok(Err("tests"))
     }
 }

@@ -22,6 +22,9 @@ pub(crate) enum DecoderType {
     /// `Qwen3VLTextConfig`: a Qwen 3 with positions on three axes that take turns.
     #[serde(rename = "qwen3_vl_text")]
     Qwen3Vl,
+    /// `Gemma3TextConfig`: most layers have a window, and all more norms.
+    #[serde(rename = "gemma3_text")]
+    Gemma3,
 }
 
 impl DecoderType {
@@ -32,6 +35,7 @@ impl DecoderType {
             "MistralForCausalLM" => Some(Self::Mistral),
             "Qwen2ForCausalLM" => Some(Self::Qwen2),
             "Qwen3ForCausalLM" => Some(Self::Qwen3),
+            "Gemma3ForCausalLM" => Some(Self::Gemma3),
             _ => None,
         }
     }
@@ -61,6 +65,11 @@ impl DecoderType {
                 "vocab_size": 151_936, "intermediate_size": 22_016, "num_key_value_heads": 32, "head_dim": 128,
                 "max_position_embeddings": 128_000,
             }),
+            Self::Gemma3 => json!({
+                "vocab_size": 262_208, "hidden_size": 2304, "intermediate_size": 9216, "num_hidden_layers": 26,
+                "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
+                "sliding_window": 4096, "tie_word_embeddings": true, "query_pre_attn_scalar": 256,
+            }),
         }
     }
 
@@ -68,7 +77,7 @@ impl DecoderType {
     pub(super) fn theta(self) -> f64 {
         match self {
             Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => 10_000.0,
-            Self::Qwen25Vl => 1_000_000.0,
+            Self::Qwen25Vl | Self::Gemma3 => 1_000_000.0,
             Self::Qwen3Vl => 500_000.0,
         }
     }
@@ -77,7 +86,7 @@ impl DecoderType {
     /// embedding).
     pub(super) fn sections(self) -> Option<[usize; 3]> {
         match self {
-            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => None,
+            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Gemma3 => None,
             Self::Qwen25Vl => Some([16, 24, 24]),
             Self::Qwen3Vl => Some([24, 20, 20]),
         }
@@ -102,7 +111,17 @@ impl DecoderType {
         // No class of these types rotates a part of a head, but others of Llama's kind do.
         const WHOLE: (&str, Neutral) = ("partial_rotary_factor", Neutral::Number(1.0));
         const FULL: (&str, Neutral) = ("layer_types", Neutral::Each("full_attention"));
-        if self.is_qwen() {
+        const GEMMA: &[(&str, Neutral)] = &[
+            ("hidden_activation", Neutral::Text(&["gelu_pytorch_tanh"])),
+            WHOLE,
+            // No number is neutral: a cap of any size bends what lies below it.
+            ("attn_logit_softcapping", Neutral::Text(&[])),
+            ("final_logit_softcapping", Neutral::Text(&[])),
+            ("use_bidirectional_attention", Neutral::Flag(false)),
+        ];
+        if self == Self::Gemma3 {
+            GEMMA
+        } else if self.is_qwen() {
             &[ACT, WHOLE, FULL]
         } else {
             &[ACT, WHOLE]

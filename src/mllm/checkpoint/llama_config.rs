@@ -1,9 +1,10 @@
-//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2 and Qwen 3.
+//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2, Qwen 3 and Gemma 3.
 
 use super::config::{
     ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
 };
 use super::decoder_type::DecoderType;
+use super::gemma_config::GemmaConfig;
 use super::rope_config::read_rope;
 use super::weights::Weights;
 use crate::MllmError;
@@ -12,7 +13,7 @@ use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
-/// of queries and keys.
+/// of queries and keys, and Gemma 3 (`Gemma3TextConfig`) what [`Self::gemma`] has.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
 #[expect(
@@ -63,6 +64,9 @@ pub struct LlamaConfig {
     pub window: Option<usize>,
     /// Whether the output layer may share the embedding's weights.
     pub tie_word_embeddings: bool,
+    /// What Gemma 3 has beyond the others.
+    #[serde(skip)]
+    pub(crate) gemma: Option<GemmaConfig>,
 }
 
 /// The defaults of `LlamaConfig`. Zero heads and widths are set once the others are known.
@@ -85,6 +89,7 @@ impl Default for LlamaConfig {
             mlp_bias: false,
             window: None,
             tie_word_embeddings: false,
+            gemma: None,
         }
     }
 }
@@ -131,13 +136,16 @@ impl LlamaConfig {
         if kind.is_qwen() {
             check_no_window(&text, config.layers)?;
         }
+        if kind == DecoderType::Gemma3 {
+            config.gemma = Some(GemmaConfig::read(&text, &config)?);
+        }
         if kind != DecoderType::Mistral {
             config.window = None;
         }
         config.output_bias = config.attention_bias && !kind.is_qwen2();
         config.attention_bias |= kind.is_qwen2();
-        config.head_norms = kind.is_qwen() && !kind.is_qwen2();
-        config.mlp_bias &= !kind.is_qwen();
+        config.head_norms = config.gemma.is_some() || kind.is_qwen() && !kind.is_qwen2();
+        config.mlp_bias &= !kind.is_qwen() && config.gemma.is_none();
         config.check_sizes(&text)?;
         config
             .validate()

@@ -1,8 +1,7 @@
 //! What lies under the name of weights or of a small file and is something else, as downloads by a
 //! wrong address leave it.
 
-/// Bytes that decide.
-pub(crate) const LOOKED_AT: usize = 512;
+use planagent_files::{KIND_BYTES, binary_kind_of, is_pickle};
 
 /// Texts that the hub and its mirrors answer with instead of a file.
 const ANSWERS: [&str; 6] = [
@@ -13,34 +12,34 @@ const ANSWERS: [&str; 6] = [
     "Invalid credentials",
     "Access to model",
 ];
-/// Files of other kinds by their first bytes.
-const KINDS: [(&[u8], &str); 5] = [
+/// Kinds of which more is to be said than what they are.
+const ADVISED: [(&[u8], &str); 2] = [
     (b"GGUF", "a GGUF file; its name must end in .gguf"),
     (
         b"PK\x03\x04",
         "a zip archive, as torch's pickles are; take a repository or revision with safetensors",
     ),
-    (
-        b"\x80\x02",
-        "a Python pickle, which may run code; take a repository or revision with safetensors",
-    ),
-    (b"\x1f\x8b", "compressed by gzip; decompress it first"),
-    (
-        b"\x28\xb5\x2f\xfd",
-        "compressed by Zstandard; decompress it first",
-    ),
 ];
+const PICKLE: &str =
+    "a Python pickle, which may run code; take a repository or revision with safetensors";
 
 /// What a file is, by its beginning, instead of weights or JSON; none if nothing is known.
 pub(crate) fn what_instead(beginning: &[u8]) -> Option<String> {
     const AGAIN: &str = "download the file again";
-    if let Some((_, kind)) = KINDS.iter().find(|(magic, _)| beginning.starts_with(magic)) {
+    let advised = ADVISED
+        .iter()
+        .find(|(magic, _)| beginning.starts_with(magic));
+    let kind = advised
+        .map(|(_, kind)| *kind)
+        .or_else(|| is_pickle(beginning).then_some(PICKLE))
+        .or_else(|| binary_kind_of(beginning));
+    if let Some(kind) = kind {
         return Some(format!("this is {kind}"));
     }
     let beginning = beginning
         .strip_prefix("\u{feff}".as_bytes())
         .unwrap_or(beginning);
-    let text = String::from_utf8_lossy(beginning.get(..LOOKED_AT).unwrap_or(beginning));
+    let text = String::from_utf8_lossy(beginning.get(..KIND_BYTES).unwrap_or(beginning));
     let text = text.trim_start();
     let line: String = text
         .lines()
@@ -96,6 +95,9 @@ mod tests {
             (b"PK\x03\x04....", "a zip archive"),
             (b"\x80\x02}q\0", "a Python pickle"),
             (b"\x1f\x8b\x08", "gzip"),
+            (&[0; 512], "full of zeros"),
+            (b"tjgg\x03\0\0\0", "llama.cpp from before GGUF"),
+            (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
         ] {
             let found = what_instead_of_weights(beginning).unwrap();
             assert!(

@@ -3,6 +3,8 @@
 mod config;
 mod decoder_type;
 mod files;
+mod finite;
+mod gemma_config;
 mod layers;
 mod llama_config;
 mod load_report;
@@ -34,10 +36,9 @@ pub(crate) use own_keys::OwnKeys;
 pub(crate) use packed::{Held, PackedBlocks, PackedForm};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
-pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
+pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile, in_four_dimensions};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
 pub use weights::Weights;
-pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
 use serde_json::Value;
@@ -119,9 +120,32 @@ pub(crate) fn parse_json(path: &Path, text: &str) -> Result<Value, MllmError> {
             path: path.to_path_buf(),
             source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),
         },
-        None => MllmError::Json {
-            path: path.to_path_buf(),
-            source,
+        None => match no_number(text, &source) {
+            Some(word) => MllmError::Read {
+                path: path.to_path_buf(),
+                source: std::io::Error::new(
+                    std::io::ErrorKind::InvalidData,
+                    format!(
+                        "line {}: {word}, which Python's json writes, is no number of JSON; write a number in its place",
+                        source.line()
+                    ),
+                ),
+            },
+            None => MllmError::Json {
+                path: path.to_path_buf(),
+                source,
+            },
         },
+    })
+}
+
+/// The word at the place of an error, if it is one that Python's json writes for what is no number.
+fn no_number(text: &str, error: &serde_json::Error) -> Option<&'static str> {
+    let line = text.lines().nth(error.line().checked_sub(1)?)?;
+    let before = error.column().saturating_sub(2);
+    let rest = line.get(before..)?;
+    ["NaN", "-Infinity", "Infinity"].into_iter().find(|word| {
+        rest.trim_start_matches([' ', ':', '[', ','])
+            .starts_with(word)
     })
 }

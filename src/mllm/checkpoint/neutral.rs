@@ -9,7 +9,7 @@ use serde_json::Value;
 pub(crate) enum Neutral {
     Flag(bool),
     Number(f64),
-    /// One of these texts.
+    /// One of these texts; without texts, no value at all.
     Text(&'static [&'static str]),
     /// A list whose texts are all this one.
     Each(&'static str),
@@ -31,6 +31,7 @@ impl Neutral {
         match self {
             Self::Flag(flag) => flag.to_string(),
             Self::Number(number) => number.to_string(),
+            Self::Text([]) => "null".to_owned(),
             Self::Text(texts) => texts.join(" or "),
             Self::Each(text) => format!("a list of {text}"),
         }

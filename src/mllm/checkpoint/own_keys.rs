@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 13] = [
+const DECODER: [(&str, &str); 15] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -18,7 +18,9 @@ const DECODER: [(&str, &str); 13] = [
     ("rope_scaling.factor", "rope.scaling.factor"),
     ("rope_scaling.type", "rope.scaling.type"),
     ("rope_scaling.mrope_section", "rope.dimension_sections"),
+    ("sliding_window_pattern", "attention.sliding_window_pattern"),
     ("sliding_window", "attention.sliding_window"),
+    ("rope_local_base_freq", "rope.freq_base_swa"),
 ];
 /// Keys of `vision_config`, and those of a tower behind `clip.vision.`.
 const TOWER: [(&str, &str); 14] = [
@@ -63,7 +65,8 @@ pub(crate) struct OwnKeys {
     /// `general.architecture` of the decoder.
     pub(crate) architecture: String,
     pub(crate) decoder: PathBuf,
-    pub(crate) tower: PathBuf,
+    /// The vision tower; none for a decoder alone.
+    pub(crate) tower: Option<PathBuf>,
 }
 
 impl OwnKeys {
@@ -85,17 +88,19 @@ impl OwnKeys {
     /// The file and its key that a key of a small file was made from.
     fn find(&self, path: &Path, key: &str) -> Option<(&Path, String)> {
         let name = path.strip_prefix(&self.decoder).ok()?.to_str()?;
+        let in_decoder = |key: &str| {
+            let name = format!("{}.{}", self.architecture, own(&DECODER, key)?);
+            Some((self.decoder.as_path(), name))
+        };
+        let Some(tower) = &self.tower else {
+            return in_decoder(key).filter(|_| name == "config.json");
+        };
         let in_tower = |table: &[(&str, &str)], key: &str| {
-            Some((
-                self.tower.as_path(),
-                format!("clip.vision.{}", own(table, key)?),
-            ))
+            let name = format!("clip.vision.{}", own(table, key)?);
+            Some((tower.as_path(), name))
         };
         match (name, key.split_once('.')) {
-            ("config.json", Some(("text_config", key))) => {
-                let name = format!("{}.{}", self.architecture, own(&DECODER, key)?);
-                Some((self.decoder.as_path(), name))
-            }
+            ("config.json", Some(("text_config", key))) => in_decoder(key),
             ("config.json", Some(("vision_config", key))) => in_tower(&TOWER, key),
             ("config.json", _) => in_tower(&PROJECTOR, key),
             ("preprocessor_config.json", _) => in_tower(&PROCESSOR, key),
@@ -125,7 +130,7 @@ mod tests {
         let own = OwnKeys {
             architecture: "qwen2".into(),
             decoder: "m/d.gguf".into(),
-            tower: "m/t.gguf".into(),
+            tower: Some("m/t.gguf".into()),
         };
         let renamed = |path: &str, key: &str| {
             own.rename(MllmError::Config {

@@ -27,11 +27,18 @@ pub(super) fn read_rope(
     kind: DecoderType,
     context: usize,
 ) -> Result<Rope, MllmError> {
+    let by_layer = (kind == DecoderType::Gemma3)
+        .then(|| layer_rope(text, "full_attention"))
+        .transpose()?
+        .flatten();
     let section = match text
         .child("rope_scaling")?
         .filter(|section| !section.is_empty())
     {
         Some(section) => section,
+        None if kind == DecoderType::Gemma3 => {
+            by_layer.map_or_else(|| text.child_or_empty("rope_scaling"), Ok)?
+        }
         None => text.child_or_empty("rope_parameters")?,
     };
     section.only_neutral(&[("partial_rotary_factor", Neutral::Number(1.0))])?;
@@ -71,6 +78,37 @@ pub(super) fn read_rope(
         scaling,
         sections,
     })
+}
+
+/// The rotary embedding of the local layers of a Gemma 3.
+pub(super) fn read_local_rope(text: &ConfigObject<'_>) -> Result<Rope, MllmError> {
+    const THETA: f64 = 10_000.0;
+    let section = layer_rope(text, "sliding_attention")?;
+    let own = match &section {
+        Some(section) => {
+            section.only_neutral(&[
+                ("rope_type", Neutral::Text(&["default"])),
+                ("partial_rotary_factor", Neutral::Number(1.0)),
+            ])?;
+            section.positive("rope_theta")?
+        }
+        None => None,
+    };
+    let beside = text.positive("rope_local_base_freq")?;
+    Ok(Rope {
+        theta: own.or(beside).unwrap_or(THETA),
+        scaling: RopeScaling::None,
+        sections: None,
+    })
+}
+
+/// The part of `rope_parameters` for layers of a kind.
+fn layer_rope<'a>(
+    text: &ConfigObject<'a>,
+    kind: &str,
+) -> Result<Option<ConfigObject<'a>>, MllmError> {
+    text.child("rope_parameters")?
+        .map_or(Ok(None), |all| all.child(kind))
 }
 
 /// Positions before a context was lengthened: beside the section comes before in it.

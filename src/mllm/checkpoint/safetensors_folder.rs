@@ -1,7 +1,7 @@
 //! The safetensors of a folder, in one file or in shards.
 
 use super::config::ConfigObject;
-use super::mistaken::{LOOKED_AT, what_instead_of_weights};
+use super::mistaken::what_instead_of_weights;
 use super::read_json;
 use super::row_order::RowOrder;
 use super::weight_file::{TensorPlace, TensorSource, WeightFile};
@@ -9,6 +9,7 @@ use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
+use planagent_files::KIND_BYTES;
 use planagent_kernels::matrix::WeightFormat;
 use safetensors::Dtype;
 use safetensors::tensor::Metadata;
@@ -198,10 +199,15 @@ pub(crate) fn read_header(
     let failed = |error: std::io::Error| broken(format!("the header cannot be read: {error}"));
     let mut beginning = Vec::new();
     (&mut *source)
-        .take(LOOKED_AT as u64)
+        .take(KIND_BYTES as u64)
         .read_to_end(&mut beginning)
         .map_err(failed)?;
-    if let Some(problem) = what_instead_of_weights(&beginning) {
+    if beginning.is_empty() {
+        return Err(broken("the file is empty; download it again".into()));
+    }
+    // The length of a header may have the first bytes of another kind of file.
+    let has_header = beginning.get(LENGTH as usize) == Some(&b'{');
+    if !has_header && let Some(problem) = what_instead_of_weights(&beginning) {
         return Err(broken(problem));
     }
     let mut source = beginning.as_slice().chain(source);

@@ -190,3 +190,13 @@ impl TensorSource for ComputedTensor {
         Ok(())
     }
 }
+
+/// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
+pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
+    let extra = shape.len().saturating_sub(4);
+    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else {
+        return shape.to_vec();
+    };
+    let (merged, last) = rest.split_at(extra + 1);
+    [&[*first, merged.iter().product()], last].concat()
+}

@@ -185,18 +185,17 @@ fn asked_for(
         Some(held) if held.block() > 1 && held != wanted && held.bits() <= wanted.bits() => {
             (held, Some("the file has no more bits"))
         }
-        // To round it again to as few bits would lose what 8 bits hold.
-        None if format.is_within_q8_0() && format.bits() <= wanted.bits() => {
-            (WeightFormat::Q8_0, Some(SAME_NUMBERS))
-        }
         _ => (wanted, reason),
     }
 }
 
 /// The format in memory that equals a file's format.
 pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
-    let StoredFormat::Ggml(format) = format.into() else {
-        return None;
+    let format = match format.into() {
+        StoredFormat::Ggml(format) => format,
+        StoredFormat::Iq4Nl => return Some(WeightFormat::Iq4Nl),
+        StoredFormat::Iq4Xs => return Some(WeightFormat::Iq4Xs),
+        StoredFormat::Mxfp4 => return Some(WeightFormat::Mxfp4),
     };
     match format {
         GgmlDType::F32 => Some(WeightFormat::F32),
@@ -217,16 +216,11 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
 /// Why a matrix has a finer format than its file.
 const MERGED: &str = "an adapter is merged into it (--quantize chooses another format)";
 
-/// Why a file's format becomes another that holds its numbers.
-const SAME_NUMBERS: &str = "the same numbers in 8 bits; the file's format has no fast product";
-
 /// The format in memory for a file's format that has no equal, and why. It is 8 bits, which hold
 /// the numbers of most formats exactly and round those of the others little. bf16 needs f32, whose
 /// range f16 does not have.
 fn replacement(format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
-    if format.is_within_q8_0() {
-        (WeightFormat::Q8_0, Some(SAME_NUMBERS))
-    } else if format.block_size() > 1 {
+    if format.block_size() > 1 {
         (
             WeightFormat::Q8_0,
             Some(
@@ -384,7 +378,7 @@ mod tests {
         let mxfp4 = again(WeightFormat::Q4K).matrix(DECODER, StoredFormat::Mxfp4, 512);
         assert_eq!(
             (mxfp4.weight_format, mxfp4.reason),
-            (WeightFormat::Q8_0, Some(SAME_NUMBERS))
+            (WeightFormat::Mxfp4, Some("the file has no more bits"))
         );
         let safetensors = |format: GgmlDType| {
             WeightFormatPlan::default()
@@ -396,6 +390,54 @@ mod tests {
             [WeightFormat::F32; 2]
         );
         assert_eq!(safetensors(GgmlDType::F16), WeightFormat::F16);
+    }
+
+    #[test]
+    fn packed_matrices_keep_their_numbers_unless_fewer_bits_are_asked_for() {
+        let planned = |quantize, format, held, inputs| {
+            let form = PackedForm {
+                label: "awq 4 bits".into(),
+                weight_format: format,
+                held,
+            };
+            let plan = WeightFormatPlan {
+                quantize,
+                kind: FileKind::Quantized,
+                tied: false,
+            };
+            plan.packed_matrix(DECODER, &form, inputs)
+        };
+        let of_awq = |quantize| planned(quantize, WeightFormat::Q5_0, Held::Exactly, 512);
+        let own = of_awq(None);
+        assert_eq!((own.weight_format, own.reason), (WeightFormat::Q5_0, None));
+        for (asked, expected) in [
+            (WeightFormat::F32, WeightFormat::F32),
+            (WeightFormat::F16, WeightFormat::F16),
+            (WeightFormat::Q8_0, WeightFormat::Q5_0),
+            (WeightFormat::Q4K, WeightFormat::Q4K),
+        ] {
+            assert_eq!(of_awq(Some(asked)).weight_format, expected, "{asked}");
+        }
+        let rounded =
+            |quantize, inputs| planned(quantize, WeightFormat::Q8_0, Held::Rounded, inputs);
+        assert_eq!(rounded(None, 512).weight_format, WeightFormat::Q8_0);
+        assert!(
+            rounded(None, 512)
+                .reason
+                .unwrap()
+                .contains("rounded to 8 bits")
+        );
+        assert_eq!(rounded(None, 40).weight_format, WeightFormat::F16);
+        let four = rounded(Some(WeightFormat::Q4K), 512);
+        assert_eq!(four.weight_format, WeightFormat::Q4K);
+        let lossless = |kind| {
+            let plan = WeightFormatPlan {
+                kind,
+                ..WeightFormatPlan::default()
+            };
+            plan.is_lossless()
+        };
+        assert!(lossless(FileKind::Safetensors) && !lossless(FileKind::Quantized));
     }
 
     #[test]

@@ -1,15 +1,15 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
+use super::finite::first_not_finite;
 use super::load_report::LoadReport;
 use super::merged::MergedFormat;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
+use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
 use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
-use half::f16;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,6 +28,8 @@ pub struct Weights {
     pub(super) files: Vec<Arc<dyn TensorSource>>,
     pub(super) tensors: BTreeMap<String, StoredTensor>,
     pub(super) plan: WeightFormatPlan,
+    /// Whether the weights of norms are stored with 1 added, as llama.cpp stores those of Gemma.
+    norms_have_one: bool,
     pub(super) report: LoadReport,
     blake3: String,
     access: TensorAccess,
@@ -78,6 +80,7 @@ impl Weights {
             files: Vec::new(),
             tensors: BTreeMap::new(),
             plan: WeightFormatPlan { tied: true, ..plan },
+            norms_have_one: false,
             report: LoadReport {
                 quantize: plan.quantize,
                 ..LoadReport::default()
@@ -159,6 +162,15 @@ impl Weights {
     /// Whether the weights are those of safetensors, in formats that hold their numbers.
     pub(crate) fn is_lossless(&self) -> bool {
         self.plan.is_lossless()
+    }
+
+    /// Says that the weights of norms are stored with 1 added.
+    pub(crate) fn set_norms_have_one(&mut self) {
+        self.norms_have_one = true;
+    }
+
+    pub(crate) fn norms_have_one(&self) -> bool {
+        self.norms_have_one
     }
 
     pub(crate) fn note(&mut self, note: String) {
@@ -453,10 +465,8 @@ impl Weights {
         wanted: WeightFormat,
     ) -> Result<Matrix, MllmError> {
         let format = stored.place.format;
-        let held = held_as(format) == Some(wanted);
-        if held || wanted == WeightFormat::Q8_0 && format.is_within_q8_0() {
+        if held_as(format) == Some(wanted) {
             let bytes = self.bytes(stored)?;
-            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
             self.check_blocks(stored, wanted, &bytes)?;
             return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
         }
@@ -554,27 +564,17 @@ impl Weights {
         }
     }
 
-    /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
+    /// Checks that the numbers of blocks are finite.
     fn check_blocks(
         &self,
         stored: &StoredTensor,
         format: WeightFormat,
         bytes: &[u8],
     ) -> Result<(), MllmError> {
-        let worst = |block: &[u8]| match format {
-            WeightFormat::F32 => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            _ => format
-                .halves()
-                .iter()
-                .filter_map(|at| half_at(block, *at))
-                .find(|half| !half.is_finite()),
-        };
-        for (index, block) in bytes.chunks_exact(format.block_bytes()).enumerate() {
-            if let Some(value) = worst(block).filter(|value| !value.is_finite()) {
-                return Err(self.not_finite(stored, index * format.block(), value));
-            }
+        match first_not_finite(format, bytes) {
+            None => Ok(()),
+            Some((element, value)) => Err(self.not_finite(stored, element, value)),
         }
-        Ok(())
     }
 
     fn not_finite(&self, stored: &StoredTensor, element: usize, value: f32) -> MllmError {
@@ -585,24 +585,6 @@ impl Weights {
             value,
         }
     }
-}
-
-/// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
-pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
-    let extra = shape.len().saturating_sub(4);
-    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else {
-        return shape.to_vec();
-    };
-    let (merged, last) = rest.split_at(extra + 1);
-    [&[*first, merged.iter().product()], last].concat()
-}
-
-/// The half-precision number at a byte of a block.
-fn half_at(block: &[u8], at: usize) -> Option<f32> {
-    block
-        .get(at..)?
-        .first_chunk()
-        .map(|bytes| f16::from_le_bytes(*bytes).to_f32())
 }
 
 fn f32_bytes(shape: &[usize]) -> u64 {

@@ -86,10 +86,15 @@ impl ExpertLayer {
 }
 
 impl DecoderLayer for ExpertLayer {
-    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
+    fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        layer: usize,
+        name: &str,
+    ) -> Result<Self, MllmError> {
         Ok(Self {
             input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
-            attention: CausalAttention::new(config),
+            attention: CausalAttention::new(config, layer),
             post_norm: rms_norm(weights, &format!("{name}.post_attention_layernorm"), config)?,
             language: Expert::take(weights, config, name, "language")?,
             vision: Expert::take(weights, config, name, "vision")?,

@@ -68,7 +68,7 @@ impl CogVlm {
         };
         let info = ModelInfo {
             image_first: true,
-            ..ModelInfo::new(NAME, &config.text, image, weights, before)
+            ..ModelInfo::new(NAME, &config.text, Some(image), weights, before)
         };
         Ok(Self {
             config,
@@ -96,7 +96,7 @@ impl VisionLanguageModel for CogVlm {
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         let pixels = vec![preprocess::pixel_values(
             image,
-            self.info.image_size as u32,
+            self.config.vision.image_size as u32,
         )?];
         Ok(Tiles {
             pixels,

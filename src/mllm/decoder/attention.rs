@@ -11,13 +11,18 @@ use planagent_kernels::attention::{AttentionMask, HeadShape, Projected, attend, 
 pub(crate) struct CausalAttention {
     shape: HeadShape,
     window: Option<usize>,
+    /// Whether the layer has the rotary embedding of local layers.
+    local: bool,
 }
 
 impl CausalAttention {
-    pub(crate) fn new(config: &LlamaConfig) -> Self {
+    /// That of a layer, by its number from 0.
+    pub(crate) fn new(config: &LlamaConfig, layer: usize) -> Self {
+        let local = config.gemma.as_ref().filter(|gemma| gemma.is_local(layer));
         Self {
             shape: config.into(),
-            window: config.window,
+            window: local.map_or(config.window, |gemma| Some(gemma.window)),
+            local: local.is_some(),
         }
     }
 
@@ -44,7 +49,7 @@ impl CausalAttention {
             start: cache.len(),
             window: self.window,
         };
-        Projected::read(qkv, self.shape, Some(&pass.rotary), |rows| {
+        Projected::read(qkv, self.shape, Some(pass.rotary(self.local)), |rows| {
             attend(rows, cache.write(pass.layer, rows)?, mask)
         })
     }

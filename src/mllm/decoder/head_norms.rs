@@ -1,5 +1,6 @@
 //! Normalization of each head's queries and keys.
 
+use super::layer::scaled_norm;
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
 use candle_core::Tensor;
@@ -21,17 +22,18 @@ impl HeadNorms {
         config: &LlamaConfig,
         name: &str,
     ) -> Result<Self, MllmError> {
-        let mut norm = |part: &str| {
-            weights.take_rms_norm(
-                &format!("{name}.self_attn.{part}"),
-                config.head_dim,
-                config.rms_norm_eps,
-            )
+        let mut norm = |part: &str, scale| {
+            let name = format!("{name}.self_attn.{part}");
+            scaled_norm(weights, &name, config.head_dim, config, scale)
         };
+        // The attention divides by the root of the head's width.
+        let query_scale = config.gemma.as_ref().map_or(1.0, |gemma| {
+            (config.head_dim as f64 / gemma.query_scalar).sqrt() as f32
+        });
         let widths = [config.heads, config.kv_heads].map(|heads| heads * config.head_dim);
         Ok(Self {
-            query: norm("q_norm")?,
-            key: norm("k_norm")?,
+            query: norm("q_norm", query_scale)?,
+            key: norm("k_norm", 1.0)?,
             widths,
         })
     }

@@ -11,7 +11,13 @@ use planagent_kernels::attention::RotaryRows;
 use std::ops::Range;
 
 pub(crate) trait DecoderLayer: Sized {
-    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;
+    /// Takes the weights of a layer, by its number from 0 and its name.
+    fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        layer: usize,
+        name: &str,
+    ) -> Result<Self, MllmError>;
 
     /// Maps (tokens, hidden) to the same shape and writes keys and values to the cache.
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor>;
@@ -26,16 +32,27 @@ pub(crate) struct Pass {
     pub layer: usize,
     /// Angles of the rows' positions.
     pub rotary: RotaryRows,
+    /// Those of local layers; none where they have the same.
+    pub local_rotary: Option<RotaryRows>,
     /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
 }
 
-/// The feed-forward network of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are
-/// one matrix.
+impl Pass {
+    /// The angles of a layer.
+    pub(super) fn rotary(&self, local: bool) -> &RotaryRows {
+        let local = self.local_rotary.as_ref().filter(|_| local);
+        local.unwrap_or(&self.rotary)
+    }
+}
+
+/// The feed-forward network of a layer: `down(f(gate(x)) · up(x))`, where f is SiLU in most
+/// families. Gate and up projection are one matrix.
 #[derive(Debug)]
 pub(crate) struct SwiGlu {
     gate_up: Linear,
     down: Linear,
+    act: Activation,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -60,6 +77,7 @@ impl SwiGlu {
         Ok(Self {
             gate_up: weights.take_fused(&[(gate, wide), (up, wide)], shape.hidden, shape.bias)?,
             down: weights.take_linear(&down, wide, shape.hidden, shape.bias)?,
+            act: Activation::Silu,
         })
     }
 
@@ -75,13 +93,20 @@ impl SwiGlu {
             intermediate: config.intermediate,
             bias: config.mlp_bias,
         };
-        Self::take(weights, name, shape)
+        let act = config
+            .gemma
+            .as_ref()
+            .map_or(Activation::Silu, |_| Activation::GeluTanh);
+        Ok(Self {
+            act,
+            ..Self::take(weights, name, shape)?
+        })
     }
 
     /// Maps (tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.down
-            .forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)
+            .forward(&self.act.gated(&self.gate_up.forward(x)?)?)
     }
 
     /// residual + network(x), both (tokens, hidden).
@@ -91,14 +116,38 @@ impl SwiGlu {
         residual: &Tensor,
     ) -> candle_core::Result<Tensor> {
         self.down
-            .forward_onto(&Activation::swiglu(&self.gate_up.forward(x)?)?, residual)
+            .forward_onto(&self.act.gated(&self.gate_up.forward(x)?)?, residual)
     }
 }
 
+/// Takes a norm of hidden states.
 pub(crate) fn rms_norm(
     weights: &mut Weights,
     name: &str,
     config: &LlamaConfig,
 ) -> Result<RmsNorm, MllmError> {
-    weights.take_rms_norm(name, config.hidden, config.rms_norm_eps)
+    scaled_norm(weights, name, config.hidden, config, 1.0)
+}
+
+/// Takes a norm of rows of this width, whose results are multiplied by `scale`. Gemma 3 multiplies
+/// by 1 + weight.
+pub(super) fn scaled_norm(
+    weights: &mut Weights,
+    name: &str,
+    width: usize,
+    config: &LlamaConfig,
+    scale: f32,
+) -> Result<RmsNorm, MllmError> {
+    if config.gemma.is_none() {
+        return weights.take_rms_norm(name, width, config.rms_norm_eps);
+    }
+    let offset = if weights.norms_have_one() { 0.0 } else { 1.0 };
+    let stored: Vec<f32> = weights
+        .take(&format!("{name}.weight"), &[width])?
+        .to_vec1()?;
+    let weight = stored
+        .into_iter()
+        .map(|weight| (weight + offset) * scale)
+        .collect();
+    Ok(RmsNorm::new(weight, config.rms_norm_eps))
 }

@@ -1,6 +1,6 @@
 //! Llama-style decoders: embedding, layers with a key-value cache, RMS norm, output layer.
 //!
-//! [`LlamaLayer`] is the layer of Llama, Mistral and Qwen. A family with another layer implements
+//! [`LlamaLayer`] is the layer of Llama, Mistral, Qwen and Gemma. A family with another layer implements
 //! [`DecoderLayer`].
 
 mod attention;
@@ -32,6 +32,10 @@ pub(crate) struct Decoder<L> {
     norm: RmsNorm,
     head: Linear,
     rotary: RotaryEmbedding,
+    /// That of local layers; none where they have the same.
+    local_rotary: Option<RotaryEmbedding>,
+    /// Input rows of text are multiplied by it.
+    embedding_scale: Option<f64>,
     heads: HeadShape,
     precision: Precision,
 }
@@ -124,7 +128,7 @@ impl<L: DecoderLayer> Decoder<L> {
             );
         }
         let layers = (0..config.layers)
-            .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
+            .map(|index| L::take(weights, config, index, &format!("{prefix}layers.{index}")))
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             embedding,
@@ -132,6 +136,10 @@ impl<L: DecoderLayer> Decoder<L> {
             norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
             head: Linear::from_matrix(head, None),
             rotary,
+            local_rotary: config.gemma.as_ref().map(|gemma| {
+                RotaryEmbedding::new(&gemma.local_rope, config.head_dim, config.context)
+            }),
+            embedding_scale: config.gemma.as_ref().map(|_| (config.hidden as f64).sqrt()),
             heads: config.into(),
             precision,
         })
@@ -144,7 +152,11 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
     }
 
     fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.embedding.rows(ids)
+        let rows = self.embedding.rows(ids)?;
+        match self.embedding_scale {
+            Some(scale) => rows * scale,
+            None => Ok(rows),
+        }
     }
 
     fn exact_pass(&self) -> usize {
@@ -162,6 +174,11 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         let mut pass = Pass {
             layer: 0,
             rotary: self.rotary.rows(&input.positions)?,
+            local_rotary: self
+                .local_rotary
+                .as_ref()
+                .map(|rotary| rotary.rows(&input.positions))
+                .transpose()?,
             vision: input.vision.clone(),
         };
         let mut x = input.rows.clone();

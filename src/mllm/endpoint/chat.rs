@@ -145,12 +145,21 @@ pub(super) fn text(
     if settings.grammar != GrammarField::JsonSchema || *constraint == Constraint::Free {
         return content;
     }
-    let parsed: Option<Value> = serde_json::from_str(&content).ok();
+    let parsed: Option<Value> = serde_json::from_str(without_fence(&content)).ok();
     let member = parsed
         .as_ref()
         .and_then(|value| value.get(ANSWER))
         .and_then(Value::as_str);
     member.map(ToString::to_string).unwrap_or(content)
+}
+
+/// A text without the fence of Markdown around it, which models like around JSON.
+fn without_fence(text: &str) -> &str {
+    let inside = text
+        .trim()
+        .strip_prefix("```")
+        .and_then(|rest| rest.strip_suffix("```"));
+    inside.map_or(text, |inside| inside.strip_prefix("json").unwrap_or(inside))
 }
 
 /// Checks the answer against the constraint.
@@ -187,4 +196,21 @@ pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
         "data:image/png;base64,{}",
         BASE64_STANDARD.encode(png.into_inner())
     ))
+}
+
+#[cfg(test)]
+mod fence_tests {
+    use super::without_fence;
+
+    #[test]
+    fn json_is_read_inside_a_fence() {
+        for text in [
+            "{\"a\": 1}",
+            "```json\n{\"a\": 1}\n```",
+            " ```\n{\"a\": 1}```\n",
+        ] {
+            assert_eq!(without_fence(text).trim(), "{\"a\": 1}", "{text:?}");
+        }
+        assert_eq!(without_fence("```json"), "```json");
+    }
 }

@@ -56,6 +56,17 @@ const ABSENT: [&str; 10] = [
     "not available",
 ];
 
+/// Words about a prompt that is too long.
+const TOO_LONG: [&str; 7] = [
+    "context size",
+    "context length",
+    "context window",
+    "context_length",
+    "maximum context",
+    "max_model_len",
+    "too many tokens",
+];
+
 /// A refused request.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Refusal<'a> {
@@ -88,13 +99,17 @@ impl Refusal<'_> {
                     .to_owned(),
             });
         }
+        let plain = self.message.to_ascii_lowercase();
         if matches!(self.status, 200 | 404 | 405) && !self.is_of_the_model() {
-            return without_version(self.url);
+            return without_version(self.url).or_else(|| self.about_pictures(&plain));
         }
         if !matches!(self.status, 200 | 400 | 413 | 415 | 422 | 500 | 501) {
             return None;
         }
-        let plain = self.message.to_ascii_lowercase();
+        if TOO_LONG.iter().any(|words| plain.contains(words)) {
+            let text = "start the server with a larger context, or take a shorter prompt set (--prompt-set compact)";
+            return Some(text.to_owned());
+        }
         if let Some((_, advice)) = ADVICE
             .iter()
             .find(|(field, _)| self.sends(field) && has_word(&plain, field))
@@ -111,6 +126,11 @@ impl Refusal<'_> {
                 "{field} is a field of extra in the description: remove it there"
             ));
         }
+        self.about_pictures(&plain)
+    }
+
+    /// What to do where the server's words, in small letters, are about the picture.
+    fn about_pictures(&self, plain: &str) -> Option<String> {
         let pictured = self.sends_picture() && PICTURES.iter().any(|word| plain.contains(word));
         pictured.then(|| {
             "start the server with a model that sees, or set environment.bev = false to ask without the picture"
@@ -244,6 +264,21 @@ mod tests {
                 422,
                 "body.messages.0.content: content must be a string",
                 "a model that sees",
+            ),
+            (
+                404,
+                "No endpoints found that support image input",
+                "a model that sees",
+            ),
+            (
+                400,
+                "the request exceeds the available context size, try increasing it",
+                "a larger context",
+            ),
+            (
+                400,
+                "This model's maximum context length is 512 tokens. max_tokens is too large",
+                "a larger context",
             ),
             (401, "invalid key", "key_env"),
             (400, "the prompt is too long", ""),

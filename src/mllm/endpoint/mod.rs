@@ -203,6 +203,7 @@ impl EndpointConversation<'_> {
         let start = Instant::now();
         let settings = &self.endpoint.settings;
         request.sampling.check()?;
+        // A question that is asked again has another seed, and may have another answer.
         let seed = answer_seed(self.seed, self.answers);
         let chat = Chat {
             system: &self.system,

@@ -65,6 +65,7 @@ impl Endpoint {
         } else {
             Constraint::Free
         };
+        // As a run asks: what a server refuses here, it would refuse there.
         let request = Request {
             constraint,
             max_new_tokens: question.max_new_tokens,

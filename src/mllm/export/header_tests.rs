@@ -39,6 +39,7 @@ fn metadata() -> Vec<(String, Value)> {
 }
 
 fn tensor(name: &str, format: GgmlDType, shape: &[usize]) -> PlannedTensor {
+    let format = format.into();
     PlannedTensor {
         name: name.to_string(),
         format,

@@ -1,7 +1,7 @@
 //! Export of a model as GGUF.
 //!
-//! A family that llama.cpp knows becomes two files that llama.cpp opens too: the decoder, and the
-//! vision tower with the projector. Any other model becomes one file under the canonical names of
+//! A family that llama.cpp knows becomes files that llama.cpp opens too: the decoder, and the vision
+//! tower with the projector where it has one. Any other model becomes one file under the canonical names of
 //! its tensors. The metadata holds the small files of the model, so that opening the export gives a
 //! bit-identical model.
 
@@ -94,7 +94,7 @@ pub fn export_model(
         let mut out = create(part.kind).map_err(failed)?;
         part.layout.write_header(&mut out).map_err(failed)?;
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
-            let data = data(&mut checkpoint.weights, canonical, tensor)?;
+            let data = data(&mut checkpoint.weights, canonical, tensor, part.norm_offset)?;
             let data = match part
                 .heads
                 .as_ref()
@@ -119,6 +119,8 @@ struct Part {
     canonical: Vec<String>,
     /// Whether rows of queries and keys are written in pairs.
     heads: Option<Heads>,
+    /// What is added to the weights of norms.
+    norm_offset: f32,
 }
 
 /// Heads of queries and of keys.
@@ -166,7 +168,7 @@ fn parts(
         Ok(layout) => layout.metadata(files)?.map(|metadata| (layout, metadata)),
         Err(lacking) => Err(lacking),
     };
-    let (layout, [decoder, tower]) = match described {
+    let (layout, (architecture, decoder, tower)) = match described {
         Ok(described) => described,
         Err(lacking) => {
             checkpoint.weights.note(format!(
@@ -184,6 +186,7 @@ fn parts(
                 layout: file,
                 canonical,
                 heads: None,
+                norm_offset: 0.0,
             }]);
         }
     };
@@ -191,7 +194,7 @@ fn parts(
     if let Some(factors) = factors.filter(|_| !checkpoint.weights.contains(ROTARY.1)) {
         checkpoint.weights.add_numbers(ROTARY.1, &factors)?;
     }
-    let mut metadata = [general(llama::ARCHITECTURE), decoder].concat();
+    let mut metadata = [general(architecture), decoder].concat();
     let json = tokenizer.required_json("tokenizer.json")?;
     match tokenizer_metadata::metadata(&json, &special_tokens(tokenizer)?, text.vocabulary) {
         Some(tokens) => metadata.extend(tokens),
@@ -215,7 +218,7 @@ fn parts(
         }
     };
     let canonical = plan_tensors(&checkpoint.weights, &mut model, wanted(false));
-    let heads = Some(Heads {
+    let heads = (architecture == llama::ARCHITECTURE).then_some(Heads {
         queries: text.heads,
         keys: text.kv_heads,
     });
@@ -224,21 +227,28 @@ fn parts(
         layout: model,
         canonical,
         heads,
+        norm_offset: if layout.norms_have_one() && !checkpoint.weights.norms_have_one() {
+            1.0
+        } else {
+            0.0
+        },
     };
-    let mut file = Layout {
-        metadata: [general(TOWER), tower].concat(),
-        tensors: Vec::new(),
-    };
-    let canonical = plan_tensors(&checkpoint.weights, &mut file, wanted(true));
-    Ok(vec![
-        model,
-        Part {
+    let mut parts = vec![model];
+    if let Some(tower) = tower {
+        let mut layout = Layout {
+            metadata: [general(TOWER), tower].concat(),
+            tensors: Vec::new(),
+        };
+        let canonical = plan_tensors(&checkpoint.weights, &mut layout, wanted(true));
+        parts.push(Part {
             kind: GgufPart::Tower,
-            layout: file,
+            layout,
             canonical,
             heads: None,
-        },
-    ])
+            norm_offset: 0.0,
+        });
+    }
+    Ok(parts)
 }
 
 /// Adds the tensors that `rename` gives a name; returns their canonical names.
@@ -253,7 +263,7 @@ fn plan_tensors(
             let format = weights
                 .weight_format_of(name)
                 .unwrap_or(WeightFormat::F32)
-                .ggml();
+                .stored();
             layout.tensors.push(PlannedTensor {
                 name: renamed,
                 format,
@@ -270,6 +280,7 @@ fn data(
     weights: &mut Weights,
     canonical: &str,
     tensor: &PlannedTensor,
+    norm_offset: f32,
 ) -> Result<Vec<u8>, MllmError> {
     let mut bytes = Vec::with_capacity(tensor.bytes() as usize);
     match tensor.shape.as_slice() {
@@ -279,7 +290,10 @@ fn data(
             let _ = matrix.write_blocks(&mut bytes);
         }
         shape => {
-            let values: Vec<f32> = weights.take(canonical, shape)?.flatten_all()?.to_vec1()?;
+            let mut values: Vec<f32> = weights.take(canonical, shape)?.flatten_all()?.to_vec1()?;
+            if norm_offset != 0.0 && canonical.ends_with("norm.weight") {
+                values.iter_mut().for_each(|value| *value += norm_offset);
+            }
             bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         }
     }

@@ -6,14 +6,14 @@ use crate::gguf::{FILE, find, open_header, tokenizer, tower_beside};
 use crate::local::test_reference::fixture;
 use crate::source::ModelPlace;
 use candle_core::quantized::GgmlDType;
-use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::WeightFormat;
 use serde_json::{Value, json};
 use std::path::Path;
 
 fn write(path: &Path, metadata: &[(&str, Value)]) {
     let tensors = vec![PlannedTensor {
         name: "a".into(),
-        format: GgmlDType::F32,
+        format: GgmlDType::F32.into(),
         shape: vec![2, 2],
     }];
     let metadata = metadata
@@ -56,14 +56,20 @@ fn what_is_no_model_does_not_hide_one() {
         assert!(error.contains(said), "{said} in {error}");
     }
     assert!(!error.contains("._m.gguf"), "{error}");
-    assert!(tower_beside(&path("m.gguf")).is_err());
+    assert_eq!(tower_beside(&path("m.gguf")).unwrap(), None);
+    std::fs::write(path("mmproj-x.gguf"), "<html>moved</html>").unwrap();
+    let broken = tower_beside(&path("m.gguf")).unwrap_err().to_string();
+    assert!(broken.contains("mmproj-x.gguf: broken"), "{broken}");
     write(&path("M.GGUF"), &[("general.architecture", json!("llama"))]);
     write(
         &path("tower.gguf"),
         &[("general.architecture", json!("clip"))],
     );
     assert_eq!(find(folder.path()).unwrap(), Some(path("M.GGUF")));
-    assert_eq!(tower_beside(&path("M.GGUF")).unwrap(), path("tower.gguf"));
+    assert_eq!(
+        tower_beside(&path("M.GGUF")).unwrap(),
+        Some(path("tower.gguf"))
+    );
 }
 
 /// Cuts a file into two parts as `gguf-split` does, and gives their paths.
@@ -84,12 +90,9 @@ fn split(path: &Path) -> [std::path::PathBuf; 2] {
         }
         let planned = names.iter().map(|name| {
             let place = &header.tensors[*name];
-            let StoredFormat::Ggml(format) = place.format else {
-                panic!("{name}")
-            };
             PlannedTensor {
                 name: (*name).clone(),
-                format,
+                format: place.format,
                 shape: place.shape.clone(),
             }
         });
@@ -117,7 +120,7 @@ fn a_split_model_is_opened_by_any_part_and_by_its_folder() {
     let source = fixture("tiny_llava");
     let (whole, parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let model = export(&source, whole.path(), WeightFormat::F16);
-    let tower = tower_beside(&model).unwrap();
+    let tower = tower_beside(&model).unwrap().unwrap();
     let copied = parts.path().join("m.gguf");
     std::fs::copy(&model, &copied).unwrap();
     std::fs::copy(&tower, parts.path().join("mmproj-m.gguf")).unwrap();
@@ -185,7 +188,7 @@ fn a_split_model_is_opened_by_any_part_and_by_its_folder() {
 fn with_key(is_tower: bool, key: &str, value: &Value) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     let model = export(&fixture("tiny_llava"), folder.path(), WeightFormat::F16);
-    let tower = tower_beside(&model).unwrap();
+    let tower = tower_beside(&model).unwrap().unwrap();
     for path in [&model, &tower] {
         edit(path, |header, _| {
             header.metadata.retain(|key, _| !key.starts_with(FILE));

@@ -13,7 +13,7 @@ use crate::local::{Loading, LocalModel, Sequence};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
 use candle_core::Tensor;
-use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::WeightFormat;
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
@@ -71,15 +71,10 @@ pub(super) fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<Planne
         .collect();
     let planned = header.tensors.iter();
     let mut tensors = planned
-        .map(|(name, place)| {
-            let StoredFormat::Ggml(format) = place.format else {
-                panic!("{name}: {:?}", place.format)
-            };
-            PlannedTensor {
-                name: name.clone(),
-                format,
-                shape: place.shape.clone(),
-            }
+        .map(|(name, place)| PlannedTensor {
+            name: name.clone(),
+            format: place.format,
+            shape: place.shape.clone(),
         })
         .collect();
     change(&mut header, &mut tensors);

@@ -1,6 +1,6 @@
 //! GGUF metadata of a `tokenizer.json` for llama.cpp. This program reads the packed file instead.
 
-use crate::gguf::{Entries, tokenizer::piece};
+use crate::gguf::{Entries, byte_level, tokenizer::piece};
 use serde_json::{Value as Json, json};
 use std::collections::{BTreeMap, HashMap};
 
@@ -58,7 +58,8 @@ pub(crate) fn metadata(
             .collect();
         metadata.push(("tokenizer.ggml.merges", json!(merges)));
         metadata.push(("tokenizer.ggml.model", json!("gpt2")));
-        metadata.push(("tokenizer.ggml.pre", json!("default")));
+        let splits = byte_level::name_of(tokenizer).unwrap_or("default");
+        metadata.push(("tokenizer.ggml.pre", json!(splits)));
     }
     metadata.push(("tokenizer.ggml.tokens", json!(tokens)));
     metadata.push(("tokenizer.ggml.token_type", json!(kinds)));

@@ -2,7 +2,7 @@
 
 use crate::checkpoint::in_four_dimensions;
 use crate::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
-use candle_core::quantized::GgmlDType;
+use planagent_kernels::matrix::StoredFormat;
 use serde_json::Value;
 use std::io::{self, Write};
 
@@ -18,7 +18,7 @@ pub(super) struct Layout {
 pub(super) struct PlannedTensor {
     pub name: String,
     /// Number format of its blocks.
-    pub format: GgmlDType,
+    pub format: StoredFormat,
     /// Shape, the slowest dimension first.
     pub shape: Vec<usize>,
 }
@@ -51,7 +51,10 @@ impl Layout {
                 header.extend((*side as u64).to_le_bytes());
             }
             let number = number_of(tensor.format).ok_or_else(|| {
-                io::Error::other(format!("{:?} is no format of GGUF files", tensor.format))
+                io::Error::other(format!(
+                    "{} is no format of GGUF files",
+                    tensor.format.name()
+                ))
             })?;
             header.extend(number.to_le_bytes());
             header.extend(offset.to_le_bytes());

@@ -96,7 +96,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         ));
     }
     let Special {
-        bos, eos, config, ..
+        bos, ends, config, ..
     } = Special::read(header, &pieces)?;
     let begins = header
         .flag("tokenizer.ggml.add_bos_token")?
@@ -117,8 +117,34 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     Ok(TokenizerFiles {
         tokenizer,
         config,
-        eos: eos.map(|(id, _)| id),
+        ends,
     })
+}
+
+/// The name of the way in which a `tokenizer.json` splits texts; none if it has no name.
+pub(crate) fn name_of(tokenizer: &Json) -> Option<&'static str> {
+    let own = (
+        tokenizer["normalizer"].clone(),
+        without_offsets(tokenizer["pre_tokenizer"].clone()),
+    );
+    KNOWN.into_iter().find(|name| {
+        splitting(name)
+            .is_some_and(|(normalizer, splits)| own == (normalizer, without_offsets(splits)))
+    })
+}
+
+/// A pre-tokenizer without what changes no token.
+fn without_offsets(mut splits: Json) -> Json {
+    if let Some(parts) = splits["pretokenizers"].as_array_mut() {
+        for part in parts {
+            if let Some(keys) = part.as_object_mut() {
+                keys.remove("trim_offsets");
+            }
+        }
+    } else if let Some(keys) = splits.as_object_mut() {
+        keys.remove("trim_offsets");
+    }
+    splits
 }
 
 /// Normalizer and pre-tokenizer of a name.
@@ -153,5 +179,18 @@ mod tests {
     fn every_known_name_has_a_way_to_split() {
         assert!(KNOWN.into_iter().all(|name| splitting(name).is_some()));
         assert!(splitting("tekken").is_none());
+        for name in KNOWN.into_iter().filter(|name| *name != "gpt-2") {
+            let (normalizer, splits) = splitting(name).unwrap();
+            let mut file = json!({"normalizer": normalizer, "pre_tokenizer": splits});
+            assert_eq!(name_of(&file), Some(name));
+            if let Some(parts) = file["pre_tokenizer"]["pretokenizers"].as_array_mut() {
+                parts.last_mut().unwrap()["trim_offsets"] = json!(false);
+            }
+            assert_eq!(name_of(&file), Some(name));
+        }
+        assert_eq!(
+            name_of(&json!({"pre_tokenizer": {"type": "Metaspace"}})),
+            None
+        );
     }
 }

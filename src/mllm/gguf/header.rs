@@ -235,6 +235,7 @@ impl Reader<'_> {
         data: u64,
         alignment: u64,
     ) -> Result<BTreeMap<String, TensorPlace>, MllmError> {
+        // In the order of the file, one pass finds tensors that share bytes.
         declared.sort_by_key(|tensor| tensor.offset);
         let mut tensors = BTreeMap::new();
         let mut free = 0;
@@ -379,7 +380,7 @@ impl Reader<'_> {
             .read_exact(bytes)
             .map_err(|source| match source.kind() {
                 std::io::ErrorKind::UnexpectedEof => {
-                    self.error("the file is truncated within its header")
+                    self.error("the file is truncated within its header; download it again")
                 }
                 _ => MllmError::Read {
                     path: self.path.to_path_buf(),
@@ -441,7 +442,7 @@ const FORMATS: [(u32, GgmlDType); 14] = [
     (30, GgmlDType::BF16),
 ];
 
-/// Formats that candle does not know, by their `ggml_type`.
+/// Formats that candle does not have, by their `ggml_type`.
 const FURTHER: [(u32, StoredFormat); 3] = [
     (20, StoredFormat::Iq4Nl),
     (23, StoredFormat::Iq4Xs),
@@ -492,9 +493,13 @@ fn format_of(number: u32) -> Result<StoredFormat, Option<&'static str>> {
 }
 
 /// The `ggml_type` of a format.
-pub(crate) fn number_of(format: GgmlDType) -> Option<u32> {
-    FORMATS
+pub(crate) fn number_of(format: StoredFormat) -> Option<u32> {
+    let further = || FURTHER.iter().copied();
+    let known = FORMATS
         .iter()
+        .map(|(number, format)| (*number, StoredFormat::Ggml(*format)));
+    known
+        .chain(further())
         .find(|(_, known)| *known == format)
-        .map(|(number, _)| *number)
+        .map(|(number, _)| number)
 }

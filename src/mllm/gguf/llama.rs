@@ -1,23 +1,24 @@
-//! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read,
-//! `llama` is written.
+//! The configuration of a decoder of Llama's kind in the metadata of a GGUF file.
 
 use super::Entries;
+use super::gemma;
 use super::header::Header;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::RopeScaling;
 use serde_json::{Value, json};
 
-/// The value of `general.architecture` of the decoders that this program writes.
+/// The value of `general.architecture` of the decoders whose queries and keys have paired rows.
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 5] = [
+const ARCHITECTURES: [(&str, &str); 6] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
     (INTERLEAVED, "qwen3_vl_text"),
+    (gemma::ARCHITECTURE, "gemma3_text"),
 ];
 /// The architecture whose axes take turns in the rotary embedding; its files do not say so.
 const INTERLEAVED: &str = "qwen3vl";
@@ -139,6 +140,9 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
             ));
         }
     }
+    if architecture == gemma::ARCHITECTURE {
+        gemma::add_keys(header, &mut config)?;
+    }
     if let Some(sections) =
         header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?
     {
@@ -148,46 +152,40 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     Ok(config)
 }
 
-/// The metadata that [`text_config`] reads.
-///
-/// # Errors
-/// The part that llama.cpp has no key for.
-pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
-    if config.head_norms {
-        return Err("norms of queries and keys in a llama decoder");
-    }
+/// The metadata that [`text_config`] reads, for a decoder of this architecture.
+pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Entries {
     let mut metadata = vec![
-        ("llama.vocab_size", json!(config.vocabulary)),
-        ("llama.embedding_length", json!(config.hidden)),
-        ("llama.feed_forward_length", json!(config.intermediate)),
-        ("llama.block_count", json!(config.layers)),
-        ("llama.attention.head_count", json!(config.heads)),
-        ("llama.attention.head_count_kv", json!(config.kv_heads)),
-        ("llama.attention.key_length", json!(config.head_dim)),
-        ("llama.attention.value_length", json!(config.head_dim)),
-        ("llama.context_length", json!(config.context)),
+        ("vocab_size", json!(config.vocabulary)),
+        ("embedding_length", json!(config.hidden)),
+        ("feed_forward_length", json!(config.intermediate)),
+        ("block_count", json!(config.layers)),
+        ("attention.head_count", json!(config.heads)),
+        ("attention.head_count_kv", json!(config.kv_heads)),
+        ("attention.key_length", json!(config.head_dim)),
+        ("attention.value_length", json!(config.head_dim)),
+        ("context_length", json!(config.context)),
         (
-            "llama.attention.layer_norm_rms_epsilon",
+            "attention.layer_norm_rms_epsilon",
             json!(config.rms_norm_eps),
         ),
-        ("llama.rope.dimension_count", json!(config.head_dim)),
-        ("llama.rope.freq_base", json!(config.rope.theta)),
+        ("rope.dimension_count", json!(config.head_dim)),
+        ("rope.freq_base", json!(config.rope.theta)),
     ];
     if let Some(window) = config.window {
-        metadata.push(("llama.attention.sliding_window", json!(window)));
+        metadata.push(("attention.sliding_window", json!(window)));
     }
     match config.rope.scaling {
         // A tensor has the factors of Llama 3.
         RopeScaling::None | RopeScaling::Llama3 { .. } => {}
         RopeScaling::Linear { factor } => {
-            metadata.push(("llama.rope.scaling.type", json!("linear")));
-            metadata.push(("llama.rope.scaling.factor", json!(factor)));
+            metadata.push(("rope.scaling.type", json!("linear")));
+            metadata.push(("rope.scaling.factor", json!(factor)));
         }
     }
-    Ok(metadata
+    metadata
         .into_iter()
-        .map(|(key, value)| (key.to_string(), value))
-        .collect())
+        .map(|(key, value)| (format!("{architecture}.{key}"), value))
+        .collect()
 }
 
 /// The projection of a decoder layer that a tensor makes (`attn_q`, `attn_k`, ...), by its name in

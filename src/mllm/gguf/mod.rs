@@ -5,7 +5,8 @@
 //! these. For a file of llama.cpp, the model's family makes the small files from the metadata
 //! ([`GgufLayout`]), so that it reads the same JSON whatever the weights lie in.
 
-mod byte_level;
+pub(crate) mod byte_level;
+pub(crate) mod gemma;
 mod header;
 pub(crate) mod llama;
 mod metadata;
@@ -15,6 +16,7 @@ mod read_only;
 mod text_files;
 pub(crate) mod tokenizer;
 pub(crate) mod unread_keys;
+mod vision_marks;
 
 #[cfg(test)]
 pub(crate) mod tokenizer_tests;
@@ -45,17 +47,18 @@ pub(crate) const TEMPLATE: &str = "chat_template.jinja";
 /// Metadata keys with their values. Floats are of 32 bits in a file.
 pub type Entries = Vec<(String, Value)>;
 
-/// How llama.cpp's files hold a model family: a decoder, and a vision tower beside it.
+/// How llama.cpp's files hold a model family: a decoder, and a vision tower beside it where the
+/// family has one.
 pub trait GgufLayout: Sync {
-    /// Whether a decoder and a tower belong to the family.
-    fn opens(&self, decoder: &Header, tower: &Header) -> bool;
+    /// Whether a decoder and a tower, or a decoder alone, belong to the family.
+    fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool;
 
     /// The small files of the model, by name, made from the metadata. A note says what the files
     /// leave open.
     fn small_files(
         &self,
         decoder: &Header,
-        tower: &Header,
+        tower: Option<&Header>,
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError>;
 
@@ -65,11 +68,18 @@ pub trait GgufLayout: Sync {
     /// llama.cpp's name of a canonical tensor; none if the format has no such tensor.
     fn gguf_name(&self, canonical: &str) -> Option<String>;
 
-    /// The metadata of decoder and tower for a model with these files, or the part that the format
-    /// has no key for.
-    fn metadata(&self, files: &ModelFiles)
-    -> Result<Result<[Entries; 2], &'static str>, MllmError>;
+    /// Whether llama.cpp stores the weights of the decoder's norms with 1 added.
+    fn norms_have_one(&self) -> bool {
+        false
+    }
+
+    /// The metadata for a model with these files, or the part that the format has no key for.
+    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError>;
 }
+
+/// The value of `general.architecture` and the other metadata of a decoder, and the metadata of its
+/// tower; or the part that the format has no key for.
+pub(crate) type Described = Result<(&'static str, Entries, Option<Entries>), &'static str>;
 
 pub(crate) fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError> {
     let file = WeightFile::open(path)?;
@@ -82,16 +92,59 @@ pub(crate) fn files(model: &Path, mmproj: Option<&Path>) -> Result<Vec<PathBuf>,
     let (header, _) = open_model(model)?;
     let mut files = parts::part_paths(model)?;
     if header.architecture()? != WHOLE_MODEL {
-        files.push(mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?);
+        files.extend(tower_for(&header, mmproj)?);
     }
     Ok(files)
+}
+
+/// The files of a decoder alone.
+pub(crate) fn decoder_files(model: &Path) -> Result<Vec<PathBuf>, MllmError> {
+    parts::part_paths(model)
+}
+
+/// The vision tower of a decoder: the named one, else the one that lies beside it. None for a
+/// decoder without one.
+///
+/// # Errors
+/// When there is none, and the decoder shows itself as part of a vision model: it must not become a
+/// language model in silence.
+pub(crate) fn tower_for(
+    decoder: &Header,
+    mmproj: Option<&Path>,
+) -> Result<Option<PathBuf>, MllmError> {
+    if let Some(named) = mmproj {
+        return Ok(Some(named.to_path_buf()));
+    }
+    let beside = tower_beside(&decoder.path)?;
+    match vision_marks::find(decoder)? {
+        Some(mark) if beside.is_none() => Err(no_tower(decoder, &mark)),
+        _ => Ok(beside),
+    }
+}
+
+/// The error of a decoder that needs a tower and has none.
+pub(crate) fn no_tower(decoder: &Header, mark: &str) -> MllmError {
+    let folder = decoder.path.parent().unwrap_or(Path::new(""));
+    MllmError::MissingFile {
+        folder: folder.to_path_buf(),
+        file: format!(
+            "vision tower (a GGUF file of architecture clip, 'mmproj') for {}, which is part of a vision model by {mark}; put it \
+             beside the decoder, or name it under mmproj in the model's description; `vision = false` there opens the decoder \
+             alone, as a language model that sees nothing",
+            decoder
+                .path
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+        ),
+    }
 }
 
 /// The decoder (or whole model) among a folder's GGUF files; none if it has no such file.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
     let (models, unreadable) = files_of(folder, |architecture| architecture != TOWER)?;
     match models.as_slice() {
-        [] => unreadable.map_or(Ok(None), Err),
+        [] => all_of(folder, unreadable).map_or(Ok(None), Err),
         [model] => Ok(Some(model.clone())),
         several => Err(several_files(folder, "models", several, "name one of them")),
     }
@@ -106,27 +159,36 @@ pub(crate) fn tower_path(model: &Path) -> PathBuf {
 }
 
 /// The vision tower in the folder of a decoder: the one that is named after it, else the only one.
-pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
+/// None if there is none.
+///
+/// # Errors
+/// When there are several, or the only file that is named as one cannot be read.
+pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
     let named = tower_path(model);
     if named.is_file() {
-        return Ok(named);
+        return Ok(Some(named));
     }
     let folder = model
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty())
         .unwrap_or(Path::new("."));
     let (towers, unreadable) = files_of(folder, |architecture| architecture == TOWER)?;
+    let is_named_so = |path: &Path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.to_ascii_lowercase().contains("mmproj")
+    };
     match towers.as_slice() {
-        [] => Err(unreadable.unwrap_or_else(|| MllmError::MissingFile {
-            folder: folder.to_path_buf(),
-            file: "vision tower (a GGUF file of architecture clip, 'mmproj'); put it beside the decoder, or name it under \
-                   mmproj in the model's description; a language model alone cannot be used here, since it sees nothing: \
-                   `planagent models list` has models that see"
-                .into(),
-        })),
-        [tower] => Ok(tower.clone()),
+        [] => {
+            let mut broken = unreadable.into_iter();
+            let tower = broken.find(|(path, _)| is_named_so(path));
+            tower.map_or(Ok(None), |(_, error)| Err(error))
+        }
+        [tower] => Ok(Some(tower.clone())),
         several => {
-            let hint = format!("rename one to {}, or name it under mmproj in the model's description", named.display());
+            let hint = format!(
+                "rename one to {}, or name it under mmproj in the model's description",
+                named.display()
+            );
             Err(several_files(folder, "vision towers", several, &hint))
         }
     }
@@ -147,13 +209,16 @@ fn several_files(folder: &Path, what: &str, files: &[PathBuf], hint: &str) -> Ml
     }
 }
 
-/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with those
-/// that are no model: importance matrices, parts of split models, broken downloads. They do not
-/// hide a model beside them.
+/// A file that is no model, and what is wrong with it.
+type Unreadable = (PathBuf, MllmError);
+
+/// The GGUF files of a folder whose architecture is wanted, sorted, and those that are no model:
+/// importance matrices, parts of split models, broken downloads. They do not hide a model beside
+/// them.
 fn files_of(
     folder: &Path,
     wanted: impl Fn(&str) -> bool,
-) -> Result<(Vec<PathBuf>, Option<MllmError>), MllmError> {
+) -> Result<(Vec<PathBuf>, Vec<Unreadable>), MllmError> {
     let failed = |source| MllmError::Read {
         path: folder.to_path_buf(),
         source,
@@ -169,10 +234,10 @@ fn files_of(
         match is_first_of(&path, &wanted) {
             Ok(true) => found.push(path),
             Ok(false) => {}
-            Err(error) => unreadable.push(error),
+            Err(error) => unreadable.push((path, error)),
         }
     }
-    Ok((found, all_of(folder, unreadable)))
+    Ok((found, unreadable))
 }
 
 /// Whether a file is a model of a wanted architecture, or the first part of one. Later parts belong
@@ -199,11 +264,14 @@ fn is_gguf(path: &Path) -> bool {
 }
 
 /// One error that tells several.
-fn all_of(folder: &Path, errors: Vec<MllmError>) -> Option<MllmError> {
-    match errors.len() {
-        0 | 1 => errors.into_iter().next(),
+fn all_of(folder: &Path, unreadable: Vec<Unreadable>) -> Option<MllmError> {
+    match unreadable.len() {
+        0 | 1 => unreadable.into_iter().map(|(_, error)| error).next(),
         _ => {
-            let told: Vec<String> = errors.iter().map(ToString::to_string).collect();
+            let told: Vec<String> = unreadable
+                .iter()
+                .map(|(_, error)| error.to_string())
+                .collect();
             Some(MllmError::MissingFile {
                 folder: folder.to_path_buf(),
                 file: format!("GGUF file that is a model: {}", told.join("; ")),

@@ -39,6 +39,26 @@ const DECODER_PARTS: [Pair; 11] = [
     ("ffn_down", "mlp.down_proj"),
 ];
 
+/// The layers of a Gemma 3, whose norm before the feed-forward network is not Llama's second one.
+pub(crate) const GEMMA_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &GEMMA_PARTS);
+
+const GEMMA_PARTS: [Pair; 13] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("post_attention_norm", "post_attention_layernorm"),
+    ("ffn_norm", "pre_feedforward_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+    ("post_ffw_norm", "post_feedforward_layernorm"),
+];
+
 /// The layers of a tower with CLIP's names.
 pub(crate) const VISION_LAYERS: (&str, &str, &[Pair]) = ("v.blk.", VISION_PREFIX, &VISION_PARTS);
 

@@ -2,7 +2,7 @@
 //! tower's metadata becomes the small files.
 
 use super::names::{Names, unswapped};
-use super::{Entries, GgufLayout, Header, TextFiles};
+use super::{Described, GgufLayout, Header, TextFiles, no_tower};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
 use serde_json::{Value, json};
@@ -42,19 +42,21 @@ pub(crate) fn as_stored(_file: &Header, name: &str) -> Result<Option<String>, Ml
 }
 
 impl GgufLayout for ReadOnlyLayout {
-    fn opens(&self, decoder: &Header, tower: &Header) -> bool {
+    fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
+        let projector = tower.and_then(|tower| tower.projector().ok().flatten());
         decoder
             .architecture()
             .is_ok_and(|decoder| self.decoders.contains(&decoder))
-            && matches!(tower.projector(), Ok(Some(projector)) if projector == self.projector)
+            && projector == Some(self.projector)
     }
 
     fn small_files(
         &self,
         decoder: &Header,
-        tower: &Header,
+        tower: Option<&Header>,
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
+        let tower = tower.ok_or_else(|| no_tower(decoder, "its configuration"))?;
         let mut files = TextFiles::read(decoder)?;
         let VisionFiles {
             mut config,
@@ -78,10 +80,7 @@ impl GgufLayout for ReadOnlyLayout {
         self.names.in_gguf(canonical)
     }
 
-    fn metadata(
-        &self,
-        _files: &ModelFiles,
-    ) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+    fn metadata(&self, _files: &ModelFiles) -> Result<Described, MllmError> {
         Ok(Err(self.lacking))
     }
 }

@@ -36,14 +36,17 @@ const MODEL: &str = "tokenizer.ggml.model";
 /// file.
 const MAX_PIECE: usize = 1024;
 
+/// Special tokens that end a turn of a chat.
+const TURN_ENDS: [&str; 4] = ["<|im_end|>", "<|eot_id|>", "<end_of_turn>", "<|end|>"];
+
 /// A tokenizer as Hugging Face's files.
 pub(crate) struct TokenizerFiles {
     /// `tokenizer.json`.
     pub tokenizer: Json,
     /// `tokenizer_config.json`.
     pub config: Json,
-    /// The token that ends an answer.
-    pub eos: Option<i64>,
+    /// The tokens that end an answer.
+    pub ends: Vec<i64>,
 }
 
 /// The id of the image's placeholder in a `tokenizer.json`. A file without one gets it after all
@@ -109,8 +112,8 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     }
     let Special {
         bos,
-        eos,
         unknown,
+        ends,
         config,
     } = Special::read(header, &pieces)?;
     let flag = |key: &str| header.flag(&format!("tokenizer.ggml.{key}"));
@@ -125,7 +128,7 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     Ok(TokenizerFiles {
         tokenizer,
         config,
-        eos: eos.map(|(id, _)| id),
+        ends,
     })
 }
 
@@ -160,10 +163,10 @@ pub(crate) fn files(
     }
     let read = read(header, vocabulary)?;
     files.insert("tokenizer_config.json".into(), read.config.to_string());
-    if let Some(eos) = read.eos {
+    if !read.ends.is_empty() {
         files.insert(
             "generation_config.json".into(),
-            json!({"eos_token_id": eos}).to_string(),
+            json!({"eos_token_id": read.ends}).to_string(),
         );
     }
     Ok(read.tokenizer)
@@ -178,7 +181,8 @@ pub(crate) fn added_id(tokenizer: &Json, token: &str) -> Option<u64> {
 /// The tokens with a role.
 pub(super) struct Special<'a> {
     pub(super) bos: Option<(i64, &'a str)>,
-    pub(super) eos: Option<(i64, &'a str)>,
+    /// The tokens that end an answer.
+    pub(super) ends: Vec<i64>,
     pub(super) unknown: Option<(i64, &'a str)>,
     /// `tokenizer_config.json`.
     pub(super) config: Json,
@@ -211,10 +215,18 @@ impl<'a> Special<'a> {
                 config[key] = json!(token);
             }
         }
+        // The file's own comes first.
+        let mut ends: Vec<i64> = eos.map(|(id, _)| id).into_iter().collect();
+        let turn = special("eot")?.map(|(id, _)| id);
+        for id in turn.into_iter().chain(pieces.ends_of_turns()) {
+            if !ends.contains(&id) {
+                ends.push(id);
+            }
+        }
         Ok(Self {
             bos,
-            eos,
             unknown,
+            ends,
             config,
         })
     }
@@ -272,6 +284,14 @@ impl<'a> Pieces<'a> {
             }
         }
         Ok(Self { tokens, kinds })
+    }
+
+    /// The special tokens that end a turn by their names: files may name another as the end of a
+    /// text alone (as llama.cpp treats them).
+    fn ends_of_turns(&self) -> impl Iterator<Item = i64> {
+        let all = self.tokens.iter().zip(&self.kinds).enumerate();
+        all.filter(|(_, (token, kind))| **kind == piece::CONTROL && TURN_ENDS.contains(*token))
+            .map(|(id, _)| id as i64)
     }
 
     /// Every way to join two pieces to a third, by falling score; equal scores in the order of

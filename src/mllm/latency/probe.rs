@@ -34,7 +34,7 @@ impl LatencyProbe {
         model.set_images(loading.image)?;
         let formats = &checkpoint.weights.report().weight_formats;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
-        let side = model.info().image_size as u32;
+        let side = model.info().image_size.map_or(0, |side| side as u32);
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
         Ok(Self {
             weight_format: formats
@@ -59,12 +59,9 @@ impl LatencyProbe {
         self.weight_format
     }
 
-    /// Tokens that the image becomes.
+    /// Tokens that the image becomes; 0 in a model that reads text alone.
     pub fn image_tokens(&self) -> Result<usize, MllmError> {
-        Ok(self
-            .model
-            .image_layout(self.image.width(), self.image.height())?
-            .tokens)
+        Ok(self.model.drawn_layout()?.map_or(0, |image| image.tokens))
     }
 
     /// Runs a step. After an error the sequence cannot be used.
@@ -76,6 +73,7 @@ impl LatencyProbe {
                 self.pending.clear();
                 self.sequence.truncate(tokens);
             }
+            Step::Encode if self.model.info().image_size.is_none() => {}
             Step::Encode => self.features = Some(self.model.encode_image(&self.image)?),
             Step::Image => {
                 let tokens = self.image_tokens()?;

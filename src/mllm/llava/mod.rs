@@ -100,7 +100,7 @@ impl LlavaCore {
             side: config.vision.image_size,
             max_tokens: config.image_tokens(),
         };
-        ModelInfo::new(architecture, &config.text, image, weights, before)
+        ModelInfo::new(architecture, &config.text, Some(image), weights, before)
     }
 }
 
@@ -138,7 +138,8 @@ impl VisionLanguageModel for Llava {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        let pixels = vec![self.processor.process(image, self.info.image_size)?];
+        let side = self.core.config.vision.image_size;
+        let pixels = vec![self.processor.process(image, side)?];
         Ok(Tiles {
             pixels,
             width: image.width(),

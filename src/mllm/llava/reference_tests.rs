@@ -111,7 +111,7 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
         .into_rgb8();
     let pixels = model
         .processor
-        .process(&image, model.info.image_size)
+        .process(&image, model.core.config.vision.image_size)
         .unwrap();
     let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();
     assert!(difference(&corner, reference.tensor("pixel_corner")) < 1e-5);

@@ -120,7 +120,7 @@ impl VisionLanguageModel for LlavaNext {
         self.image_layout(width, height)?;
         let (down, across) = self.grids.tiling(Resolution { height, width }).tiles;
         let views = (down as usize).saturating_mul(across as usize);
-        let side = self.info.image_size;
+        let side = self.core.config.vision.image_size;
         Ok(side
             .saturating_mul(side)
             .saturating_mul(views.saturating_add(1)))
@@ -130,9 +130,11 @@ impl VisionLanguageModel for LlavaNext {
         let (width, height) = image.dimensions();
         let tiling = self.grids.tiling(Resolution { height, width });
         Ok(Tiles {
-            pixels: self
-                .processor
-                .process(image, &tiling, self.info.image_size as u32)?,
+            pixels: self.processor.process(
+                image,
+                &tiling,
+                self.core.config.vision.image_size as u32,
+            )?,
             width,
             height,
         })

@@ -56,8 +56,7 @@ impl LocalModel {
         let work = self.work?;
         let model = &*self.model;
         let info = model.info();
-        let side = info.image_size as u32;
-        let image = model.image_layout(side, side).ok()?.tokens;
+        let image = model.drawn_layout().ok()?.map_or(0, |image| image.tokens);
         let word = u32::from(info.image_token == 0);
         let mut sequence = Sequence::new(model);
         let mut timed = |words: &[u32], wanted: Logits| {

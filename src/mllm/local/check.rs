@@ -200,7 +200,7 @@ fn look_at_chats(
 ) {
     note(check, model.set_images(loading.image));
     let layout = look_at_image(&*model, loading);
-    let image = layout.as_ref().ok().copied();
+    let image = layout.as_ref().ok().copied().flatten();
     note(check, layout);
     let info = model.info();
     let open = |files: ModelFiles| ChatTokenizer::open(&files, info.vocabulary, info.image_token);
@@ -218,14 +218,16 @@ fn look_at_chats(
     }
 }
 
-/// Prepares a picture of the side that is drawn for the model, and checks that its tokens leave
-/// room for a chat.
+/// Prepares a picture of the side that is drawn for the model, if it takes one, and checks that its
+/// tokens leave room for a chat.
 fn look_at_image(
     model: &dyn VisionLanguageModel,
     loading: &Loading,
-) -> Result<ImageLayout, MllmError> {
-    let side = model.info().image_size as u32;
-    let layout = model.image_layout(side, side)?;
+) -> Result<Option<ImageLayout>, MllmError> {
+    let Some((side, layout)) = model.info().image_size.zip(model.drawn_layout()?) else {
+        return Ok(None);
+    };
+    let side = side as u32;
     let context = model.context(layout.tokens);
     let context = loading.context.map_or(context, |limit| limit.min(context));
     if layout.tokens >= context {
@@ -236,7 +238,7 @@ fn look_at_image(
         return Err(MllmError::Image { problem });
     }
     model.preprocess(&RgbImage::new(side, side))?;
-    Ok(layout)
+    Ok(Some(layout))
 }
 
 /// Writes the chats of all rounds: a template may refuse a system prompt, or a second question.

@@ -30,6 +30,8 @@ pub struct Loading {
     /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the
     /// model.
     pub context: Option<usize>,
+    /// Most tokens of thoughts before an answer; none for answers without thoughts.
+    pub thinking: Option<usize>,
 }
 
 impl Loading {

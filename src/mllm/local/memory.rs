@@ -50,7 +50,8 @@ const TEXT_TOKENS: u64 = CALL_TOKENS - 2928;
 const ROWS: (u64, u64) = (8, 3);
 
 impl PictureNeed {
-    /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a
+    /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a model
+    /// that reads text alone, or for a
     /// configuration that cannot be opened: opening the model says why.
     pub(crate) fn estimate(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
         let mut listed = Weights::empty(checkpoint.files.place(), WeightFormatPlan::default());
@@ -61,7 +62,9 @@ impl PictureNeed {
         };
         // Opening the model says which settings the family refuses.
         let _ = model.set_images(image);
-        let side = model.info().image_size as u32;
+        let Some(side) = model.info().image_size.map(|side| side as u32) else {
+            return Self::default();
+        };
         let (Ok(layout), Ok(pixels)) = (
             model.image_layout(side, side),
             model.tower_pixels(side, side),

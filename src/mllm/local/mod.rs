@@ -13,6 +13,7 @@ mod memory;
 mod outline;
 mod sequence;
 mod session;
+mod thinking;
 
 #[cfg(test)]
 mod caching_tests;
@@ -23,6 +24,8 @@ mod likeliest_tests;
 #[cfg(test)]
 mod odd_folder_tests;
 #[cfg(test)]
+mod outside_tests;
+#[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
 pub(crate) mod test_faults;
@@ -30,6 +33,8 @@ pub(crate) mod test_faults;
 pub(crate) mod test_prompts;
 #[cfg(test)]
 pub(crate) mod test_reference;
+#[cfg(test)]
+mod text_only_tests;
 
 pub use check::ModelCheck;
 pub use loading::Loading;
@@ -50,13 +55,14 @@ use session::LocalConversation;
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use thinking::Thinking;
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
 /// Shortest prefix that is cached, tokens: a lone beginning-of-sequence token is not worth it.
 const MIN_PREFIX: usize = 2;
 
-/// A vision-language model with its prompt format, tokenizer and grammars.
+/// A model, with or without a vision tower, with its prompt format, tokenizer and grammars.
 #[derive(Debug)]
 pub struct LocalModel {
     name: String,
@@ -71,6 +77,8 @@ pub struct LocalModel {
     draft_model: Option<Arc<DraftModel>>,
     /// The work of an answer; none for a small model.
     work: Option<AnswerWork>,
+    /// How it thinks before it answers; none if it answers at once.
+    thinking: Option<Thinking>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -109,7 +117,14 @@ impl LocalModel {
         let Checkpoint { files, weights, .. } = checkpoint;
         let vocabulary = model.info().vocabulary;
         let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.info().image_token)?;
-        let format = model.chat_format(&files, &tokenizer)?;
+        let mut format = model.chat_format(&files, &tokenizer)?;
+        let thinking = loading
+            .thinking
+            .map(|limit| Thinking::open(limit, &tokenizer))
+            .transpose()?;
+        if thinking.is_some() {
+            format.let_think()?;
+        }
         let end_tokens = end_tokens(&files, &tokenizer, vocabulary)?;
         Ok(Self {
             name: name.to_string(),
@@ -122,6 +137,7 @@ impl LocalModel {
             limit: loading.context,
             draft_model: None,
             work,
+            thinking,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
@@ -138,6 +154,11 @@ impl LocalModel {
             .notes
             .push(format!("answers are drafted by {}", place.path().display()));
         Ok(self)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn model(&self) -> &dyn VisionLanguageModel {
+        &*self.model
     }
 
     /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
@@ -225,7 +246,7 @@ impl Mllm for LocalModel {
             architecture: info.architecture.into(),
             parameters: info.parameters,
             dtype: "f32".into(),
-            image_size: Some(info.image_size as u32),
+            image_size: info.image_size.map(|side| side as u32),
             image_tokens: info.max_image_tokens,
             vocabulary: info.vocabulary,
             context: self.limited(info.positions),

@@ -14,9 +14,10 @@ pub struct ModelOutline {
     pub family: &'static str,
     /// Number of weights.
     pub parameters: u64,
-    /// Side of the image that is drawn for the model, pixels.
-    pub image_size: usize,
-    /// Tokens of that image.
+    /// Side of the image that is drawn for the model, pixels; none for a model that reads text
+    /// alone.
+    pub image_size: Option<usize>,
+    /// Tokens of that image; 0 without one.
     pub image_tokens: usize,
     /// Longest chat, tokens.
     pub context: usize,
@@ -55,8 +56,7 @@ impl ModelOutline {
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
         let info = model.info().clone();
-        let side = info.image_size as u32;
-        let tokens = model.image_layout(side, side)?.tokens;
+        let tokens = model.drawn_layout()?.map_or(0, |layout| layout.tokens);
         let formats = Self::FORMATS.into_iter().zip(memory);
         Ok(Self {
             adapter: checkpoint.weights.report().adapter.clone(),

@@ -152,6 +152,15 @@ impl Sequence {
         })
     }
 
+    /// How many of the first tokens are those of `ids`.
+    pub(super) fn agree(&self, ids: &[u32]) -> usize {
+        self.ids
+            .iter()
+            .zip(ids)
+            .take_while(|(own, other)| own == other)
+            .count()
+    }
+
     /// Drops the tokens from `len` on.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.ids.truncate(len);

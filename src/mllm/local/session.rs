@@ -6,6 +6,7 @@ use super::draft_model::Drafting;
 use super::generate::{End, Generated, generate};
 use super::likeliest::Search;
 use super::sequence::Sequence;
+use super::thinking::{ThinkingBounds, Thoughts};
 use crate::family::{Chat, ImageFeatures, ImageLayout};
 use crate::sampling::{Sampler, answer_seed};
 use crate::{
@@ -193,6 +194,37 @@ impl Conversation for LocalConversation<'_> {
 }
 
 impl LocalConversation<'_> {
+    /// Lets the model think after the prompt, if it does.
+    fn think(
+        &mut self,
+        rest: &[u32],
+        request: &Request,
+        context: usize,
+        start: Instant,
+    ) -> Result<Option<Thoughts>, MllmError> {
+        let local = self.local;
+        let Some(thinking) = &local.thinking else {
+            return Ok(None);
+        };
+        // Another stream of random numbers than that of the answer.
+        let seed = answer_seed(!self.seed, self.answers);
+        let bounds = ThinkingBounds {
+            ends: &local.end_tokens,
+            context,
+            deadline: request.deadline,
+            start,
+        };
+        let thoughts = thinking.think(
+            &*local.model,
+            &mut self.sequence,
+            self.features.as_ref(),
+            rest,
+            Sampler::new(request.sampling, seed)?,
+            bounds,
+        )?;
+        Ok(Some(thoughts))
+    }
+
     fn generate(
         &mut self,
         prompt: &str,
@@ -220,13 +252,7 @@ impl LocalConversation<'_> {
                 context,
             });
         }
-        let agree = self
-            .sequence
-            .ids()
-            .iter()
-            .zip(&ids)
-            .take_while(|(a, b)| a == b)
-            .count();
+        let agree = self.sequence.agree(&ids);
         // The last token is always computed: its logits give the first token of the answer.
         let cached = agree.min(ids.len().saturating_sub(1));
         self.sequence.truncate(cached);
@@ -258,11 +284,25 @@ impl LocalConversation<'_> {
                 on_text(&new);
             }
         };
+        let thoughts = self.think(rest, request, context, start)?;
+        // What the answer follows.
+        let thought = thoughts
+            .as_ref()
+            .map_or(&[][..], |thoughts| thoughts.ids.as_slice());
+        let whole = [ids.as_slice(), thought].concat();
+        let computed_so_far = if thoughts.is_some() {
+            let agree = self.sequence.agree(&whole);
+            self.sequence
+                .truncate(agree.min(whole.len().saturating_sub(1)));
+            self.sequence.ids().len()
+        } else {
+            cached
+        };
         let generated: Generated = generate(
             &*local.model,
             &mut self.sequence,
             self.features.as_ref(),
-            rest,
+            &whole[computed_so_far..],
             grammar,
             sampler,
             request
@@ -291,6 +331,14 @@ impl LocalConversation<'_> {
             .unwrap_or(rest);
         let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let prefix_time = std::mem::take(&mut self.prefix_time);
+        let [prefill, prefill_end, first_token] = match &thoughts {
+            Some(thoughts) => [thoughts.prefill, thoughts.prefill_end, thoughts.first_token],
+            None => [
+                generated.prefill,
+                generated.prefill_end,
+                generated.first_token,
+            ],
+        };
         let answer = Answer {
             prompt_hash: prompt_hash(&self.prefix.system, &self.turns, prompt),
             tokens: TokenCounts {
@@ -298,19 +346,20 @@ impl LocalConversation<'_> {
                 image: image_tokens,
                 cached,
                 fast_forwarded: generated.fast_forwarded,
-                sampled: generated.ids.len() - generated.fast_forwarded,
+                sampled: generated.ids.len() - generated.fast_forwarded
+                    + thoughts.as_ref().map_or(0, |thoughts| thoughts.sampled),
                 drafted: generated.drafted,
                 accepted: generated.accepted,
             },
             time: RoundTime {
                 image_encode,
-                prefill: prefix_time + generated.prefill,
-                first_token: if generated.first_token > 0.0 {
-                    prefix_time + generated.first_token
+                prefill: prefix_time + prefill,
+                first_token: if first_token > 0.0 {
+                    prefix_time + first_token
                 } else {
                     0.0
                 },
-                decode: milliseconds(start.elapsed()) - generated.prefill_end,
+                decode: milliseconds(start.elapsed()) - prefill_end,
                 remote: 0.0,
                 total: prefix_time + milliseconds(start.elapsed()),
             },

@@ -54,7 +54,7 @@ impl<E: PatchEncoder> PatchModel<E> {
             side: DRAWN_SIDE,
             max_tokens: processor.max_tokens(),
         };
-        let info = ModelInfo::new(name, text, image, weights, before);
+        let info = ModelInfo::new(name, text, Some(image), weights, before);
         Ok(Self {
             processor,
             encoder,

@@ -140,7 +140,7 @@ impl PatchProcessor {
         }
         if let Some(side) = settings.size {
             let layout = self.layout(side, side)?;
-            (info.image_size, info.max_image_tokens) = (side as usize, layout.tokens);
+            (info.image_size, info.max_image_tokens) = (Some(side as usize), layout.tokens);
         }
         Ok(())
     }

@@ -1,11 +1,11 @@
 //! Model descriptions, `models/NAME.toml`.
 
 use super::described_prompts::DescribedPrompts;
-use super::hub::{HubName, addressed, plain};
+use super::generation::GenerationSettings;
+use super::hub::{HubName, addressed, plain, without_owner};
+use super::without_tower;
 use crate::checkpoint::read_text;
-use crate::{
-    AdapterSpec, Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat,
-};
+use crate::{AdapterSpec, Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,7 @@ pub struct ModelSpec {
     pub license: Option<String>,
     /// Format of its weights in memory, where no setting names one; none for that of its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(deserialize_with = "WeightFormat::choice")]
     pub quantize: Option<WeightFormat>,
     /// What is merged into its weights, where no setting names another.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -44,6 +45,10 @@ pub struct ModelSpec {
     /// How images are shown to it.
     #[serde(default, skip_serializing_if = "ImageSettings::is_default")]
     pub image: ImageSettings,
+    /// Whether the decoder of a GGUF file is opened with its vision tower, if it has one. Without,
+    /// it is a language model that reads text alone.
+    #[serde(default = "without_tower::yes", skip_serializing_if = "Clone::clone")]
+    pub vision: bool,
     /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trusted: bool,
@@ -115,8 +120,10 @@ impl ModelSource {
             return Ok(());
         };
         let named = match addressed(hub) {
-            Some(named) => named?,
-            None => plain(hub).ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
+            Some(named) => named.or_else(|problem| without_owner(hub).ok_or(problem))?,
+            None => plain(hub)
+                .or_else(|| without_owner(hub))
+                .ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
         };
         *hub = named.id;
         if let Some(named) = named.revision {
@@ -213,45 +220,6 @@ impl PromptSet {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GenerationSettings {
-    /// Longest answer of each round, tokens.
-    pub max_new_tokens: RoundTokens,
-    pub sampling: Sampling,
-}
-
-/// A number of tokens for each round.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RoundTokens {
-    /// Scene understanding.
-    pub understanding: usize,
-    /// Motion instruction.
-    pub instruction: usize,
-    /// Planner code.
-    pub code: usize,
-}
-
-impl Default for GenerationSettings {
-    fn default() -> Self {
-        Self {
-            max_new_tokens: RoundTokens::default(),
-            sampling: Sampling::Greedy,
-        }
-    }
-}
-
-impl Default for RoundTokens {
-    fn default() -> Self {
-        Self {
-            understanding: 1024,
-            instruction: 512,
-            code: 128,
-        }
-    }
-}
-
 impl ModelSpec {
     /// A model without a description.
     pub(super) fn plain(name: String, source: ModelSource) -> Self {
@@ -267,6 +235,7 @@ impl ModelSpec {
             prompt_set: None,
             generation: GenerationSettings::default(),
             image: ImageSettings::default(),
+            vision: true,
             trusted: false,
         }
     }
@@ -293,6 +262,7 @@ impl ModelSpec {
         let mut spec: Self = toml::from_str(text).map_err(|error| {
             broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string())))
         })?;
+        // serde checks each key alone; keys that exclude each other are found here.
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
         }
@@ -313,7 +283,19 @@ impl ModelSpec {
                 "generation.max_new_tokens: a round needs at least one token".into(),
             ));
         }
+        if spec.generation.thinking == Some(0) {
+            return Err(broken(
+                "generation.thinking: thoughts need at least one token; leave the key out for none"
+                    .into(),
+            ));
+        }
         if let ModelSource::Endpoint(settings) = &spec.source {
+            if spec.generation.thinking.is_some() {
+                return Err(broken(
+                    "generation.thinking belongs to models of this machine; a server has source.extra"
+                        .into(),
+                ));
+            }
             settings
                 .described()
                 .map_err(|problem| broken(format!("source: {problem}")))?;
@@ -340,6 +322,10 @@ impl ModelSpec {
             return Err(broken(
                 "image belongs to models of this machine; a server has source.image_size".into(),
             ));
+        }
+        if !spec.vision {
+            spec.check_blind()
+                .map_err(|problem| broken(format!("vision = false: {problem}")))?;
         }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));
@@ -372,7 +358,7 @@ impl ModelSpec {
     }
 }
 
-/// Keys of [`RoundTokens`] that have other names now.
+/// Keys of [`super::generation::RoundTokens`] that have other names now.
 const RENAMED_ROUNDS: [(&str, &str); 2] = [("scene", "understanding"), ("motion", "instruction")];
 
 /// An error about an unknown key, with its new name if it has one.
@@ -402,6 +388,7 @@ fn endpoint_problem(text: &str) -> Option<String> {
 mod tests {
     use super::*;
     use crate::{Families, GrammarField, LimitField};
+    use crate::{RoundTokens, Sampling};
 
     fn parse(text: &str) -> Result<ModelSpec, MllmError> {
         ModelSpec::parse(Path::new("models/x.toml"), text)
@@ -459,7 +446,7 @@ mod tests {
             assert_eq!(source(text).unwrap(), shown);
         }
         for text in [
-            "hub = 'a'",
+            "hub = 'a b'",
             "hub = 'a/b:Q8_0', file = 'm.gguf'",
             "hub = 'https://huggingface.co/datasets/a/b'",
         ] {

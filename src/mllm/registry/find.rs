@@ -3,7 +3,16 @@
 use super::hub::HubName;
 use super::{ModelRegistry, ModelSource, ModelSpec, address, built_in, hub};
 use crate::{EmbeddedModel, MllmError};
+use planagent_files::KIND_BYTES;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// The file that a model folder begins with.
+const CONFIG: &str = "config.json";
+/// The first bytes of a GGUF file.
+const GGUF: &[u8] = b"GGUF";
+/// Folders of models in a folder that an error names.
+const MAX_INNER: usize = 5;
 
 /// Whether a word can be nothing but a path.
 fn is_path(path: &Path) -> bool {
@@ -26,6 +35,85 @@ fn of_hub(named: HubName) -> ModelSpec {
         _ => word.rsplit('/').next().unwrap_or(&word).to_owned(),
     };
     ModelSpec::plain(last, ModelSource::of_hub(named))
+}
+
+/// The model in a folder. A repository's folder in the hub's cache stands for its snapshot.
+fn in_folder(path: &Path) -> Result<ModelSource, MllmError> {
+    if let Some(folder) = hub::snapshot_in(path) {
+        return Ok(ModelSource::Folder { folder });
+    }
+    let inner = if is_model_folder(path) {
+        Vec::new()
+    } else {
+        inner_models(path)
+    };
+    if inner.is_empty() {
+        return Ok(ModelSource::Folder {
+            folder: path.to_path_buf(),
+        });
+    }
+    let inner: Vec<String> = inner
+        .iter()
+        .map(|folder| folder.display().to_string())
+        .collect();
+    Err(MllmError::OuterFolder {
+        path: path.to_path_buf(),
+        inner: inner.join(", "),
+    })
+}
+
+/// Whether a folder has a file that a model begins with.
+fn is_model_folder(folder: &Path) -> bool {
+    folder.join(CONFIG).is_file() || names_in(folder).iter().any(|path| hub::is_gguf(path))
+}
+
+/// The folders of models in a folder that is none, as a clone or an archive leaves them.
+fn inner_models(folder: &Path) -> Vec<PathBuf> {
+    let mut inner: Vec<PathBuf> = names_in(folder)
+        .into_iter()
+        .filter(|path| path.is_dir() && is_model_folder(path))
+        .collect();
+    inner.sort();
+    inner.truncate(MAX_INNER);
+    inner
+}
+
+/// The paths in a folder. One that cannot be listed has none; opening it says why.
+fn names_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).collect()
+}
+
+/// The model that a file belongs to: a GGUF file, by whatever name (Ollama's have none that says
+/// so), or the folder of a file as Hugging Face writes it.
+fn of_file(path: &Path) -> Result<ModelSource, MllmError> {
+    let mut beginning = Vec::new();
+    // A file that cannot be read says so when it is opened.
+    if let Ok(file) = planagent_files::open(path) {
+        let _ = file.take(KIND_BYTES as u64).read_to_end(&mut beginning);
+    }
+    if hub::is_gguf(path) || beginning.starts_with(GGUF) {
+        return Ok(ModelSource::File {
+            file: path.to_path_buf(),
+            mmproj: None,
+        });
+    }
+    let is_part = path
+        .extension()
+        .is_some_and(|ending| ending == "json" || ending == "safetensors");
+    match path.parent() {
+        Some(folder) if is_part && folder.join(CONFIG).is_file() => Ok(ModelSource::Folder {
+            folder: if folder.as_os_str().is_empty() {
+                PathBuf::from(".")
+            } else {
+                folder.to_path_buf()
+            },
+        }),
+        _ => Err(MllmError::NoModelFile {
+            path: path.to_path_buf(),
+            kind: planagent_files::kind_of(&beginning),
+        }),
+    }
 }
 
 impl ModelRegistry {
@@ -98,7 +186,8 @@ impl ModelRegistry {
     /// 4. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
     ///    the model,
     /// 5. a hub id, perhaps with a revision (`org/name@v1`), and with a GGUF file
-    ///    (`org/name/file.gguf`) or its weight format (`org/name:Q4_K_M`).
+    ///    (`org/name/file.gguf`) or its weight format (`org/name:Q4_K_M`); without an organization
+    ///    (`gpt2`) where the cache has it.
     ///
     /// [`Self::asking`] says how it is asked.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
@@ -126,9 +215,12 @@ impl ModelRegistry {
             return ModelSpec::open(path);
         }
         if let Some(named) = hub::addressed(name) {
-            let named = named.map_err(|problem| MllmError::HubName {
-                word: name.to_owned(),
-                problem,
+            let named = named.or_else(|problem| {
+                let cached = self.hub.cached_without_owner(name);
+                cached.ok_or_else(|| MllmError::HubName {
+                    word: name.to_owned(),
+                    problem,
+                })
             })?;
             return Ok(of_hub(named));
         }
@@ -136,16 +228,12 @@ impl ModelRegistry {
             return server;
         }
         let source = if !name.is_empty() && path.is_dir() {
-            // A repository's folder in the hub's cache stands for its snapshot.
-            ModelSource::Folder {
-                folder: hub::snapshot_in(path).unwrap_or_else(|| path.to_path_buf()),
-            }
-        } else if hub::is_gguf(path) && path.is_file() {
-            ModelSource::File {
-                file: path.to_path_buf(),
-                mmproj: None,
-            }
+            in_folder(path)?
+        } else if !name.is_empty() && path.is_file() {
+            of_file(path)?
         } else if let Some(named) = hub::plain(name) {
+            return Ok(of_hub(named));
+        } else if let Some(named) = self.hub.cached_without_owner(name) {
             return Ok(of_hub(named));
         } else if is_path(path) {
             return Err(MllmError::AbsentModel {
@@ -154,7 +242,12 @@ impl ModelRegistry {
         } else {
             return Err(self.unknown(name));
         };
-        let last = path.file_name().map_or_else(
+        // A file of a folder stands for it.
+        let named = match &source {
+            ModelSource::Folder { folder } if path.is_file() => folder,
+            _ => path,
+        };
+        let last = named.file_name().map_or_else(
             || name.to_string(),
             |last| last.to_string_lossy().into_owned(),
         );

@@ -12,11 +12,11 @@ mod problem;
 pub(super) use cache::snapshot_in;
 pub use environment::offline_variable;
 pub(super) use files::{GgufChoice, GgufNames, HubFiles};
-pub(super) use name::{HubName, addressed, is_gguf, plain};
+pub(super) use name::{HubName, addressed, is_gguf, plain, without_owner};
 
 use crate::MllmError;
 use environment::Environment;
-use name::split_id;
+use name::{is_bare, split_id};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -66,7 +66,20 @@ impl HubAccess {
         }
     }
 
-    /// The wanted files of a repository. Missing ones are downloaded, if this is allowed.
+    /// The cache folder.
+    fn cache_folder(&self, environment: &Environment<'_>) -> PathBuf {
+        self.cache.clone().unwrap_or_else(|| environment.cache())
+    }
+
+    /// The repository without an organization that a word names, where the cache has it.
+    pub(super) fn cached_without_owner(&self, word: &str) -> Option<HubName> {
+        let name = without_owner(word)?;
+        let cache = self.cache_folder(&Environment::of_process());
+        cache::has(&cache, &name).then_some(name)
+    }
+
+    /// The wanted files of a repository. Missing ones are downloaded, if this is allowed. A
+    /// repository without an organization is taken from the cache alone.
     pub(super) fn fetch(
         &self,
         name: &HubName,
@@ -79,21 +92,22 @@ impl HubAccess {
             revision: revision.to_owned(),
             problem,
         };
-        if split_id(&name.id).is_none() {
+        let has_owner = split_id(&name.id).is_some();
+        if !has_owner && !is_bare(&name.id) {
             return Err(failed("a hub id has the form organization/name".into()));
         }
         let environment = Environment::of_process();
-        let cache = self.cache.clone().unwrap_or_else(|| environment.cache());
+        let cache = self.cache_folder(&environment);
         // A commit never changes, so a complete snapshot of it needs no network.
-        if !(self.offline || cache::is_commit(revision)) {
-            return self.download(name, files, &cache, listener).map_err(failed);
+        if has_owner && !(self.offline || cache::is_commit(revision)) {
+            return download(self, name, files, &cache, listener).map_err(failed);
         }
         let absent = match cache::find(&cache, name, files) {
             Ok(place) => return Ok(place),
             Err(absent) => absent,
         };
-        if !self.offline {
-            return self.download(name, files, &cache, listener).map_err(failed);
+        if has_owner && !self.offline {
+            return download(self, name, files, &cache, listener).map_err(failed);
         }
         // A repository of GGUF files alone needs no download, but another name.
         let offered = files::offered(name, &cache::files(&cache, name));
@@ -104,14 +118,21 @@ impl HubAccess {
             )));
         }
         let hint = absent.hint.or(offered);
-        let forbidden = match environment.offline() {
-            Some(variable) => format!("where {variable} does not forbid it"),
-            None => "without --offline (mllm.offline)".to_owned(),
+        let download = if has_owner {
+            let forbidden = match environment.offline() {
+                Some(variable) => format!("where {variable} does not forbid it"),
+                None => "without --offline (mllm.offline)".to_owned(),
+            };
+            format!(
+                "`planagent models fetch {}` downloads it, {forbidden}",
+                name.word()
+            )
+        } else {
+            format!(
+                "to download it, write it with its organization: ORG/{}",
+                name.word()
+            )
         };
-        let download = format!(
-            "`planagent models fetch {}` downloads it, {forbidden}",
-            name.word()
-        );
         Err(MllmError::NotInCache {
             id: name.id.clone(),
             revision: revision.into(),
@@ -125,37 +146,38 @@ impl HubAccess {
                 .into(),
         })
     }
+}
 
-    #[cfg(feature = "hub")]
-    fn download(
-        &self,
-        name: &HubName,
-        files: &HubFiles,
-        cache: &Path,
-        listener: Option<Arc<FetchListener>>,
-    ) -> Result<HubPlace, String> {
-        let endpoint = self.endpoint.clone();
-        let endpoint = endpoint.unwrap_or_else(|| Environment::of_process().endpoint());
-        client::download(name, files, cache, &endpoint, listener)
-    }
+/// Downloads what is missing. The error is in words.
+#[cfg(feature = "hub")]
+fn download(
+    access: &HubAccess,
+    name: &HubName,
+    files: &HubFiles,
+    cache: &Path,
+    listener: Option<Arc<FetchListener>>,
+) -> Result<HubPlace, String> {
+    let endpoint = access.endpoint.clone();
+    let endpoint = endpoint.unwrap_or_else(|| Environment::of_process().endpoint());
+    client::download(name, files, cache, &endpoint, listener)
+}
 
-    /// Takes what is in the cache: this build has no hub client.
-    #[cfg(not(feature = "hub"))]
-    fn download(
-        &self,
-        name: &HubName,
-        files: &HubFiles,
-        cache: &Path,
-        _: Option<Arc<FetchListener>>,
-    ) -> Result<HubPlace, String> {
-        cache::find(cache, name, files).map_err(|absent| {
-            format!(
-                "{} is not in the cache {}, and this build has no hub client; build with the cargo feature `hub`, or name a folder",
-                absent.file,
-                cache.display()
-            )
-        })
-    }
+/// Takes what is in the cache: this build has no hub client.
+#[cfg(not(feature = "hub"))]
+fn download(
+    _: &HubAccess,
+    name: &HubName,
+    files: &HubFiles,
+    cache: &Path,
+    _: Option<Arc<FetchListener>>,
+) -> Result<HubPlace, String> {
+    cache::find(cache, name, files).map_err(|absent| {
+        format!(
+            "{} is not in the cache {}, and this build has no hub client; build with the cargo feature `hub`, or name a folder",
+            absent.file,
+            cache.display()
+        )
+    })
 }
 
 #[cfg(test)]

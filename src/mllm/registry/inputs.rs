@@ -51,7 +51,9 @@ impl ModelRegistry {
             }
             ModelPlace::Random { .. } => {}
             ModelPlace::Folder(folder) => add(&folder, &mut files)?,
-            ModelPlace::Gguf { model, .. } => add(folder_of(&model), &mut files)?,
+            ModelPlace::Gguf { model, .. } | ModelPlace::Decoder(model) => {
+                add(folder_of(&model), &mut files)?;
+            }
         }
         let loading = self.loading(spec)?;
         if let Some(folder) = loading.tokenizer {
@@ -102,6 +104,9 @@ fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
     }
     if !spec.image.is_default() {
         values.insert("image".to_owned(), digest_of(&spec.image));
+    }
+    if !spec.vision {
+        values.insert("vision".to_owned(), digest_of(&spec.vision));
     }
     if let ModelSource::Endpoint(settings) = &spec.source
         && let Ok(Value::Object(fields)) = serde_json::to_value(settings)

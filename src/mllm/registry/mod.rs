@@ -7,6 +7,7 @@ mod described_prompts;
 mod description;
 mod find;
 mod folder;
+mod generation;
 #[cfg_attr(
     not(feature = "hub"),
     allow(dead_code, reason = "only downloads read what a repository has")
@@ -14,10 +15,12 @@ mod folder;
 mod hub;
 mod inputs;
 mod own_settings;
+mod without_tower;
 
 pub use described_prompts::DescribedPrompts;
-pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub use description::{ModelSource, ModelSpec, PromptSet};
 pub use folder::{data_folder, models_folder};
+pub use generation::{GenerationSettings, RoundTokens};
 pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
@@ -193,6 +196,15 @@ impl ModelRegistry {
     }
 
     fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        let place = self.whole_place(hub, spec)?;
+        if spec.vision {
+            Ok(place)
+        } else {
+            place.decoder_alone()
+        }
+    }
+
+    fn whole_place(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
@@ -297,7 +309,10 @@ impl ModelRegistry {
             return connect(&spec.name, settings);
         }
         let place = self.place(spec)?;
-        let loading = self.loading(spec)?;
+        let loading = Loading {
+            thinking: self.asking(spec)?.generation.thinking,
+            ..self.loading(spec)?
+        };
         self.admit(spec, &place, &loading)?;
         let model = without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?;
         let Some(draft) = spec.draft() else {
@@ -441,6 +456,7 @@ impl ModelRegistry {
             expected,
             families,
             image: spec.image,
+            thinking: spec.generation.thinking,
             ..self.loading.clone()
         })
     }

@@ -200,3 +200,54 @@ fn unknown_and_broken_models_are_errors() {
         Err(MllmError::MissingFile { .. })
     ));
 }
+
+#[test]
+fn a_file_or_a_folder_near_a_model_leads_to_it() {
+    let registry = ModelRegistry::new("/nowhere", HubAccess::default());
+    let root = tempfile::tempdir().unwrap();
+    let at = |path: &str| root.path().join(path).to_str().unwrap().to_owned();
+    std::fs::create_dir_all(at("outer/m")).unwrap();
+    std::fs::create_dir_all(at("empty")).unwrap();
+    for (file, text) in [
+        ("outer/m/config.json", "{}"),
+        ("outer/m/model.safetensors", "x"),
+        ("sha256-0123", "GGUF\u{3}"),
+        ("a.tar", "PK\u{3}\u{4}"),
+        ("alone.safetensors", "<!DOCTYPE html>"),
+        ("m.gguf.part", "half"),
+    ] {
+        std::fs::write(at(file), text).unwrap();
+    }
+    for file in [
+        "outer/m",
+        "outer/m/config.json",
+        "outer/m/model.safetensors",
+    ] {
+        let spec = registry.find(&at(file)).unwrap();
+        let folder = PathBuf::from(at("outer/m"));
+        assert_eq!(
+            (spec.name.as_str(), spec.source),
+            ("m", ModelSource::Folder { folder }),
+            "{file}"
+        );
+    }
+    let blob = registry.find(&at("sha256-0123")).unwrap();
+    assert!(matches!(blob.source, ModelSource::File { .. }));
+    let said = |word: &str| registry.find(&at(word)).unwrap_err().to_string();
+    assert!(said("outer").ends_with(&format!("name one of {}", at("outer/m"))));
+    for (file, kind) in [
+        ("a.tar", "a ZIP archive"),
+        ("alone.safetensors", "a web page"),
+        ("m.gguf.part", "is no model: name a folder"),
+    ] {
+        let said = said(file);
+        assert!(
+            said.contains(kind) && said.contains("name a folder"),
+            "{said}"
+        );
+    }
+    assert!(
+        registry.find(&at("empty")).is_ok(),
+        "opening it says what it lacks"
+    );
+}

@@ -7,8 +7,8 @@ use crate::checkpoint::{
 };
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, open_model, packed_files,
-    row_order, tokenizer, tower_beside, unread_keys,
+    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, no_tower, open_header, open_model,
+    packed_files, row_order, tokenizer, tower_for, unread_keys,
 };
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;
@@ -29,34 +29,51 @@ pub(super) fn open(
     quantize: Option<WeightFormat>,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
-    const ARCHITECTURE: &str = "general.architecture";
     let (header, parts) = open_model(model)?;
-    match header.architecture()? {
-        WHOLE_MODEL => open_whole(&header, parts, quantize, families),
-        decoder if llama::architectures().any(|known| known == decoder) => {
-            let beside = mmproj.map_or_else(
-                || tower_beside(&header.path),
-                |mmproj| Ok(mmproj.to_path_buf()),
-            )?;
-            let (tower, tower_file) = open_header(&beside)?;
-            if tower.architecture()? != TOWER {
-                return Err(tower.error(ARCHITECTURE, "this is no vision tower (clip)"));
-            }
-            let pair = [(&header, parts), (&tower, vec![tower_file])];
-            open_pair(pair, quantize, families)
-        }
-        TOWER => Err(header.error(
-            ARCHITECTURE,
-            "this is a vision tower (mmproj); name the file of the decoder instead",
-        )),
-        other => Err(header.error(
-            ARCHITECTURE,
-            format!(
-                "'{other}' is not supported; decoders of architecture {} are",
-                llama::architectures().collect::<Vec<_>>().join(", ")
-            ),
-        )),
+    if header.architecture()? == WHOLE_MODEL {
+        return open_whole(&header, parts, quantize, families);
     }
+    check_decoder(&header)?;
+    let Some(beside) = tower_for(&header, mmproj)? else {
+        return open_files((&header, parts), None, quantize, families);
+    };
+    let (tower, tower_file) = open_header(&beside)?;
+    if tower.architecture()? != TOWER {
+        return Err(tower.error(ARCHITECTURE, "this is no vision tower (clip)"));
+    }
+    let tower = (&tower, vec![tower_file]);
+    open_files((&header, parts), Some(tower), quantize, families)
+}
+
+/// Opens a decoder as a language model, also where it is part of a vision model.
+pub(super) fn open_decoder(
+    model: &Path,
+    quantize: Option<WeightFormat>,
+    families: &Families,
+) -> Result<Checkpoint, MllmError> {
+    let (header, parts) = open_model(model)?;
+    if header.architecture()? == WHOLE_MODEL {
+        let problem =
+            "this file holds a whole model, whose decoder cannot be opened alone (vision = false)";
+        return Err(header.error(ARCHITECTURE, problem));
+    }
+    check_decoder(&header)?;
+    open_files((&header, parts), None, quantize, families)
+}
+
+const ARCHITECTURE: &str = "general.architecture";
+
+/// Checks that a file is a decoder of a known architecture.
+fn check_decoder(header: &Header) -> Result<(), MllmError> {
+    let problem = match header.architecture()? {
+        decoder if llama::architectures().any(|known| known == decoder) => return Ok(()),
+        TOWER => "this is a vision tower (mmproj); name the file of the decoder instead".to_owned(),
+        other => format!(
+            "'{other}' is not supported; decoders of architecture {} are",
+            llama::architectures().collect::<Vec<_>>().join(", ")
+        ),
+    };
+    Err(header.error(ARCHITECTURE, problem))
 }
 
 fn plan(quantize: Option<WeightFormat>) -> WeightFormatPlan {
@@ -93,61 +110,41 @@ fn open_whole(
     })
 }
 
-/// A decoder and a tower, from llama.cpp or from this program.
-fn open_pair(
-    pair: [(&Header, Vec<WeightFile>); 2],
+/// A file's header over all of its parts, and these.
+type Opened<'a> = (&'a Header, Vec<WeightFile>);
+
+/// A decoder, and a tower where it has one, from llama.cpp or from this program.
+fn open_files(
+    decoder: Opened<'_>,
+    tower: Option<Opened<'_>>,
     quantize: Option<WeightFormat>,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
-    let [(decoder, _), (tower, _)] = &pair;
-    let model = decoder.path.as_path();
     let mut notes = Vec::new();
-    let mut texts = packed_files(decoder)?;
-    let is_made = !texts.contains_key(CONFIG);
-    // A file of llama.cpp may say how the model is asked, and nothing else.
-    if is_made {
-        let layouts = families
-            .iter()
-            .filter_map(|family| family.family().gguf.ok());
-        let Some(layout) = layouts
-            .into_iter()
-            .find(|layout| layout.opens(decoder, tower))
-        else {
-            let problem = match tower.projector()? {
-                Some(kind) => {
-                    format!(
-                        "'{kind}' is not supported with a decoder of architecture {}",
-                        decoder.architecture()?
-                    )
-                }
-                None => "no known model family has such a vision tower".into(),
-            };
-            return Err(tower.error("clip.projector_type", problem));
-        };
-        texts.extend(layout.small_files(decoder, tower, &mut notes)?);
-        notes.extend(tokenizer::note(decoder)?);
-        for header in [decoder, tower] {
-            unread_keys::check(header, &mut notes)?;
-        }
-    }
-    let mut files = ModelFiles::packed(model, texts);
-    if is_made {
-        files = files.made_from(OwnKeys {
-            architecture: decoder.architecture()?.to_owned(),
-            decoder: model.to_path_buf(),
-            tower: tower.path.clone(),
-        });
-    }
-    files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
+    let tower_header = tower.as_ref().map(|(header, _)| *header);
+    let files = small_files(decoder.0, tower_header, families, &mut notes)?;
+    let decoder_header = decoder.0;
     let family = families.detect_in(&files)?;
     let layout = family.family().gguf.map_err(|lacking| {
-        decoder.error(
-            "general.architecture",
+        decoder_header.error(
+            ARCHITECTURE,
             format!("a decoder file of llama.cpp has no place for {lacking}"),
         )
     })?;
-    let mut weights = Weights::empty(model, plan(quantize));
-    for (header, parts) in pair {
+    if tower.is_none() {
+        if !layout.opens(decoder_header, None) {
+            return Err(no_tower(decoder_header, "the configuration that it holds"));
+        }
+        notes.push(format!(
+            "{} has no vision tower: it is opened as a language model, which reads text and sees no picture",
+            decoder_header.path.display()
+        ));
+    }
+    let mut weights = Weights::empty(&decoder_header.path, plan(quantize));
+    if layout.norms_have_one() {
+        weights.set_norms_have_one();
+    }
+    for (header, parts) in [Some(decoder), tower].into_iter().flatten() {
         add_tensors(&mut weights, layout, header, parts)?;
     }
     for note in notes {
@@ -158,6 +155,61 @@ fn open_pair(
         files,
         weights,
     })
+}
+
+/// The small files of a decoder and its tower: those that the decoder holds, else made from the
+/// metadata, and replaced by those that lie beside it.
+fn small_files(
+    decoder: &Header,
+    tower: Option<&Header>,
+    families: &Families,
+    notes: &mut Vec<String>,
+) -> Result<ModelFiles, MllmError> {
+    let model = decoder.path.as_path();
+    let mut texts = packed_files(decoder)?;
+    let is_made = !texts.contains_key(CONFIG);
+    // A file of llama.cpp may say how the model is asked, and nothing else.
+    if is_made {
+        let layouts = families
+            .iter()
+            .filter_map(|family| family.family().gguf.ok());
+        let layout = layouts
+            .into_iter()
+            .find(|layout| layout.opens(decoder, tower))
+            .map_or_else(|| Err(unknown_pair(decoder, tower)?), Ok)?;
+        texts.extend(layout.small_files(decoder, tower, notes)?);
+        notes.extend(tokenizer::note(decoder)?);
+        for header in [Some(decoder), tower].into_iter().flatten() {
+            unread_keys::check(header, notes)?;
+        }
+    }
+    let mut files = ModelFiles::packed(model, texts);
+    if is_made {
+        files = files.made_from(OwnKeys {
+            architecture: decoder.architecture()?.to_owned(),
+            decoder: model.to_path_buf(),
+            tower: tower.map(|tower| tower.path.clone()),
+        });
+    }
+    files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
+    Ok(files)
+}
+
+/// The error of a decoder and a tower that no family has.
+fn unknown_pair(decoder: &Header, tower: Option<&Header>) -> Result<MllmError, MllmError> {
+    let architecture = decoder.architecture()?;
+    let Some(tower) = tower else {
+        let problem = format!("no known model family has a decoder '{architecture}' alone");
+        return Ok(decoder.error(ARCHITECTURE, problem));
+    };
+    let problem = match tower.projector()? {
+        Some(kind) => {
+            format!("'{kind}' is not supported with a decoder of architecture {architecture}")
+        }
+        None => "no known model family has such a vision tower".into(),
+    };
+    let hint = "`vision = false` in the model's description opens the decoder alone, as a language model that sees nothing";
+    Ok(tower.error("clip.projector_type", format!("{problem}; {hint}")))
 }
 
 /// Adds the files of a model, and gives the index of the first.

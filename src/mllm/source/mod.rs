@@ -16,7 +16,9 @@ use super::MllmError;
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights, safetensors_folder};
 use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
-use super::gguf::{files as gguf_files, find as find_gguf, open_model, packed_files};
+use super::gguf::{
+    decoder_files, files as gguf_files, find as find_gguf, open_model, packed_files,
+};
 use planagent_kernels::matrix::WeightFormat;
 use std::path::{Path, PathBuf};
 
@@ -31,6 +33,9 @@ pub enum ModelPlace {
         /// The vision tower; none if it is in the same file, or for the one that lies beside it.
         mmproj: Option<PathBuf>,
     },
+    /// A GGUF decoder that is opened as a language model, also where a vision tower lies beside it
+    /// (`vision = false` in a description).
+    Decoder(PathBuf),
     /// Files in the program.
     Embedded(&'static EmbeddedModel),
     /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another
@@ -48,16 +53,41 @@ impl ModelPlace {
     /// The folder, or the file of the decoder; of random weights the name of their shape.
     pub fn path(&self) -> &Path {
         match self {
-            Self::Folder(path) | Self::Gguf { model: path, .. } => path,
+            Self::Folder(path) | Self::Gguf { model: path, .. } | Self::Decoder(path) => path,
             Self::Embedded(model) => Path::new(model.name),
             Self::Random { shape, .. } => Path::new(shape.name),
+        }
+    }
+
+    /// The decoder of these files, without its vision tower.
+    ///
+    /// # Errors
+    /// When they are no GGUF files.
+    pub(crate) fn decoder_alone(self) -> Result<Self, MllmError> {
+        let whole = |path: &Path| {
+            MllmError::Config {
+            path: path.to_path_buf(),
+            key: "vision".to_owned(),
+            problem: "false is for the decoder of a GGUF file; these files are one model with or without a tower".to_owned(),
+        }
+        };
+        match self {
+            Self::Gguf { model, .. } => Ok(Self::Decoder(model)),
+            Self::Folder(folder) if !safetensors_folder::has_safetensors(&folder) => {
+                let model = find_gguf(&folder)?;
+                model.map(Self::Decoder).ok_or_else(|| whole(&folder))
+            }
+            Self::Decoder(_) => Ok(self),
+            Self::Folder(_) | Self::Embedded(_) | Self::Random { .. } => Err(whole(self.path())),
         }
     }
 
     /// Why there is nothing to open: the folder or the file of the decoder does not exist.
     pub fn absent(&self) -> Option<MllmError> {
         match self {
-            Self::Folder(path) | Self::Gguf { model: path, .. } if !path.exists() => {
+            Self::Folder(path) | Self::Gguf { model: path, .. } | Self::Decoder(path)
+                if !path.exists() =>
+            {
                 Some(MllmError::Absent { path: path.clone() })
             }
             _ => None,
@@ -74,7 +104,7 @@ impl ModelPlace {
                 }
             }
             Self::Folder(folder) => return ModelFiles::folder(folder)?.text(name),
-            Self::Gguf { model, .. } => model.clone(),
+            Self::Gguf { model, .. } | Self::Decoder(model) => model.clone(),
             Self::Embedded(_) | Self::Random { .. } => return Ok(None),
         };
         Ok(packed_files(&open_model(&model)?.0)?.remove(name))
@@ -103,7 +133,7 @@ impl ModelPlace {
                 Some((kind, weights.map_or(0, |weights| weights.elements() as u64)))
             }
             Self::Folder(folder) => gguf(&find_gguf(folder).ok()??),
-            Self::Gguf { model, .. } => gguf(model),
+            Self::Gguf { model, .. } | Self::Decoder(model) => gguf(model),
             Self::Embedded(_) | Self::Random { .. } => None,
         }
     }
@@ -122,6 +152,7 @@ impl ModelPlace {
                 }
             },
             Self::Gguf { model, mmproj } => gguf_files(model, mmproj.as_deref())?,
+            Self::Decoder(model) => decoder_files(model)?,
             Self::Embedded(model) => return Ok(model.weights.len() as u64),
             Self::Random { .. } => Vec::new(),
         };
@@ -156,6 +187,7 @@ impl Checkpoint {
             ModelPlace::Gguf { model, mmproj } => {
                 return gguf::open(model, mmproj.as_deref(), quantize, families);
             }
+            ModelPlace::Decoder(model) => return gguf::open_decoder(model, quantize, families),
             ModelPlace::Embedded(model) => return model.checkpoint(quantize, families),
             ModelPlace::Random { shape, seed } => {
                 let files = shape.files(families)?;

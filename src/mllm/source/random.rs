@@ -142,7 +142,7 @@ pub(super) fn checkpoint(
         let elements: usize = shape.iter().product();
         let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
         let place = TensorPlace {
-            format: weight_format.ggml().into(),
+            format: weight_format.stored(),
             shape: shape.clone(),
             begin,
             bytes,
@@ -160,7 +160,6 @@ pub(super) fn checkpoint(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planagent_kernels::matrix::widen;
 
     #[test]
     fn a_seed_gives_the_same_finite_numbers_in_every_format() {
@@ -168,7 +167,7 @@ mod tests {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {
                 let place = TensorPlace {
-                    format: weight_format.ggml().into(),
+                    format: weight_format.stored(),
                     shape: shape.clone(),
                     begin,
                     bytes: 0,
@@ -184,7 +183,7 @@ mod tests {
             assert_eq!(bytes(1, 7), bytes(1, 7));
             assert_ne!(bytes(1, 0), bytes(2, 0));
             assert_ne!(bytes(1, 0), bytes(1, 7));
-            let values = widen(weight_format.ggml(), bytes(1, 0)).unwrap();
+            let values = weight_format.stored().widen(bytes(1, 0)).unwrap();
             let variance =
                 values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
             assert!(

@@ -16,7 +16,12 @@ pub(crate) struct ChatTemplate {
     path: PathBuf,
     special: BTreeMap<String, String>,
     content: Content,
-    image_token: String,
+    /// The placeholder of an image; none in a model that reads text alone.
+    image_token: Option<String>,
+    /// Whether it mentions thoughts.
+    knows_thoughts: bool,
+    /// Whether chats end where the model begins to think.
+    thinks: bool,
 }
 
 /// The form of a message's content that a template accepts.
@@ -29,15 +34,17 @@ enum Content {
 }
 
 const NAME: &str = "chat";
+/// What templates of models that think mention.
+const THOUGHTS: [&str; 2] = ["enable_thinking", "<think>"];
 
 impl ChatTemplate {
     /// Opens the first of `chat_template.jinja`, and the `chat_template` of `chat_template.json`,
     /// `processor_config.json` and `tokenizer_config.json`. `special` has the special tokens by
-    /// role; `image_token` is the placeholder of an image.
+    /// role; `image_token` is the placeholder of an image, none in a model that reads text alone.
     pub(crate) fn open(
         files: &ModelFiles,
         special: &BTreeMap<String, String>,
-        image_token: &str,
+        image_token: Option<&str>,
     ) -> Result<Self, MllmError> {
         let (path, source) = find_source(files)?;
         let engine = compiled(&source).map_err(|error| failure(&path, &error))?;
@@ -46,10 +53,30 @@ impl ChatTemplate {
             path,
             special: special.clone(),
             content: Content::Parts,
-            image_token: image_token.to_string(),
+            image_token: image_token.map(str::to_owned),
+            knows_thoughts: THOUGHTS.into_iter().any(|word| source.contains(word)),
+            thinks: false,
         };
         template.content = template.accepted_content()?;
         Ok(template)
+    }
+
+    /// From now on, chats end where the model begins to think.
+    ///
+    /// # Errors
+    /// When the template knows no thoughts.
+    pub(crate) fn let_think(&mut self) -> Result<(), MllmError> {
+        if !self.knows_thoughts {
+            return Err(MllmError::ChatTemplate {
+                path: self.path.clone(),
+                problem: format!(
+                    "generation.thinking: the template has neither {}, so the model was not trained to think",
+                    THOUGHTS.join(" nor ")
+                ),
+            });
+        }
+        self.thinks = true;
+        Ok(())
     }
 
     /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
@@ -82,11 +109,11 @@ impl ChatTemplate {
         for (index, turn) in turns.iter().enumerate() {
             say("user", image && index == 0, &turn.prompt);
             // An answer with the placeholder's name must not add an image to the chat.
-            say(
-                "assistant",
-                false,
-                &turn.answer.replace(&self.image_token, ""),
-            );
+            let answer = match &self.image_token {
+                Some(token) => turn.answer.replace(token, ""),
+                None => turn.answer.clone(),
+            };
+            say("assistant", false, &answer);
         }
         say("user", image && turns.is_empty(), prompt);
         let special = Value::from_pairs(
@@ -94,7 +121,10 @@ impl ChatTemplate {
                 .iter()
                 .map(|(role, token)| (role.as_str(), token.as_str())),
         );
-        let chat = context! { messages, add_generation_prompt => true, ..special };
+        // Unless a description wants thoughts, an answer begins at once.
+        let chat = context! {
+            messages, add_generation_prompt => true, enable_thinking => self.thinks, ..special
+        };
         let texts = turns
             .iter()
             .map(|turn| turn.prompt.len() + turn.answer.len());
@@ -112,21 +142,35 @@ impl ChatTemplate {
                 parts.push(context! { type => "text", text });
                 Value::from(parts)
             }
-            Content::Text if image => Value::from(format!("{}\n{text}", self.image_token)),
-            Content::Text => Value::from(text),
+            Content::Text => match self.image_token.as_ref().filter(|_| image) {
+                Some(token) => Value::from(format!("{token}\n{text}")),
+                None => Value::from(text),
+            },
         }
     }
 
-    /// Finds the form of content that the template renders.
+    /// Finds the form of content that the template renders: parts first with an image, texts first
+    /// without one, as transformers calls it.
     fn accepted_content(&self) -> Result<Content, MllmError> {
         const PROBE: &str = "probe";
+        let sees = self.image_token.is_some();
+        let with = if sees { "an image and " } else { "" };
+        let images = |text: &str| {
+            let token = self.image_token.as_ref();
+            token.map_or(0, |token| text.matches(token).count())
+        };
+        let forms = if sees {
+            [Content::Parts, Content::Text]
+        } else {
+            [Content::Text, Content::Parts]
+        };
         let mut last = None;
-        for content in [Content::Parts, Content::Text] {
-            match self.render_as(content, "", true, &[], PROBE) {
+        for content in forms {
+            match self.render_as(content, "", sees, &[], PROBE) {
                 // A template for texts can print the list itself, so the output must not contain
                 // the keys of the parts.
                 Ok(text)
-                    if text.matches(&self.image_token).count() == 1
+                    if images(&text) == usize::from(sees)
                         && text.contains(PROBE)
                         && !text.contains("\"type\"") =>
                 {
@@ -134,7 +178,7 @@ impl ChatTemplate {
                 }
                 Ok(text) => {
                     last = Some(format!(
-                        "a message with an image and the text '{PROBE}' renders as '{}'",
+                        "a message with {with}the text '{PROBE}' renders as '{}'",
                         text.escape_debug()
                     ));
                 }
@@ -292,7 +336,7 @@ mod tests {
         ChatTemplate::open(
             &ModelFiles::folder(folder.path()).unwrap(),
             &special,
-            "<image>",
+            Some("<image>"),
         )
     }
 

@@ -81,6 +81,9 @@ pub(super) fn run(
     command
         .args(arguments)
         .env("RUST_BACKTRACE", "0")
+        // The program may run inside Python, whose numpy takes address space for each core.
+        .env("OPENBLAS_NUM_THREADS", "1")
+        .env("OMP_NUM_THREADS", "1")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());

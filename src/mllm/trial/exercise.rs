@@ -93,9 +93,7 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
     }
     begins("the chat template");
     let format = model.chat_format(&checkpoint.files, &tokenizer)?;
-    let image = model
-        .image_layout(info.image_size as u32, info.image_size as u32)
-        .ok();
+    let image = model.drawn_layout().ok().flatten();
     let turns: Vec<Turn> = texts
         .iter()
         .rev()

@@ -1,7 +1,7 @@
 //! What a trial opens, and the digest of its content.
 
 use crate::checkpoint::{MAX_SMALL_FILES, safetensors_folder, small_file_limit};
-use crate::gguf::{files as gguf_files, find as find_gguf, open_header};
+use crate::gguf::{decoder_files, files as gguf_files, find as find_gguf, open_header};
 use crate::{Loading, MllmError, ModelPlace};
 use planagent_files::serde_path;
 use serde::{Deserialize, Serialize};
@@ -22,6 +22,9 @@ pub struct TrialRequest {
     gguf: Option<PathBuf>,
     #[serde(default, with = "serde_path")]
     mmproj: Option<PathBuf>,
+    /// A GGUF decoder that is opened without its tower.
+    #[serde(default, with = "serde_path")]
+    decoder: Option<PathBuf>,
     /// Folder of the tokenizer, for models whose files have none.
     #[serde(default, with = "serde_path")]
     tokenizer: Option<PathBuf>,
@@ -42,6 +45,11 @@ impl TrialRequest {
             ModelPlace::Gguf { model, mmproj } => Self {
                 gguf: Some(model),
                 mmproj,
+                tokenizer,
+                ..Self::default()
+            },
+            ModelPlace::Decoder(decoder) => Self {
+                decoder: Some(decoder),
                 tokenizer,
                 ..Self::default()
             },
@@ -66,11 +74,12 @@ impl TrialRequest {
                 mmproj: self.mmproj.clone(),
             })
         };
+        let decoder = || self.decoder.clone().map(ModelPlace::Decoder);
         let loading = Loading {
             tokenizer: self.tokenizer.clone(),
             ..Loading::default()
         };
-        Some((folder.or_else(gguf)?, loading))
+        Some((folder.or_else(gguf).or_else(decoder)?, loading))
     }
 
     /// BLAKE3 of the small files with their names, of the metadata of GGUF files, and of what a
@@ -85,7 +94,7 @@ impl TrialRequest {
             add(&mut hasher, &"folder");
             add_files(&mut hasher, &small_files(folder)?)?;
         }
-        let gguf = match (&self.gguf, &self.folder) {
+        let gguf = match (self.gguf.as_ref().or(self.decoder.as_ref()), &self.folder) {
             (Some(model), _) => Some(model.clone()),
             (None, Some(folder)) if !safetensors_folder::has_safetensors(folder) => {
                 find_gguf(folder)?
@@ -105,7 +114,12 @@ impl TrialRequest {
                     .transpose()?
                     .unwrap_or_default(),
             )?;
-            for file in gguf_files(&model, self.mmproj.as_deref())? {
+            let files = if self.decoder.is_some() {
+                decoder_files(&model)?
+            } else {
+                gguf_files(&model, self.mmproj.as_deref())?
+            };
+            for file in files {
                 let (header, _) = open_header(&file)?;
                 let tensors: Vec<_> = header
                     .tensors

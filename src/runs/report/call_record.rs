@@ -13,7 +13,8 @@ use planagent_agent::planner::{
     Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, Unreadable,
 };
 use planagent_agent::reasoning::{
-    Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
+    Assistance, DrivingAction, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
+    WaypointList,
 };
 use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use planagent_agent::simulation::Challenge;
@@ -96,8 +97,12 @@ pub struct ProposalRecord {
 pub enum LineRecord {
     /// The planner code of PlanAgent.
     Code(CodeRecord),
-    /// The answer of LLM-ASSIST.
+    /// Waypoints every second, or parameters of PDM-Closed.
     Assistance(AssistanceRecord),
+    /// Waypoints every half second.
+    Waypoints(WaypointsRecord),
+    /// An action.
+    Action(ActionRecord),
 }
 
 /// A planner code.
@@ -118,7 +123,7 @@ pub struct CodeRecord {
     pub dec: f64,
 }
 
-/// An answer of LLM-ASSIST.
+/// Waypoints every second, or parameters of PDM-Closed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AssistanceRecord {
@@ -126,6 +131,26 @@ pub struct AssistanceRecord {
     pub text: String,
     /// Waypoints or parameters of PDM-Closed.
     pub assistance: Assistance,
+}
+
+/// Waypoints every half second.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WaypointsRecord {
+    /// The whole list.
+    pub text: String,
+    /// Its places.
+    pub waypoints: WaypointList,
+}
+
+/// An action that moves set-points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ActionRecord {
+    /// Its name.
+    pub text: String,
+    /// The action.
+    pub action: DrivingAction,
 }
 
 /// Reflection on a plan.
@@ -147,7 +172,10 @@ pub struct ReflectionRecord {
 /// The outcome of a planning call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-#[allow(missing_docs)]
+#[allow(
+    missing_docs,
+    reason = "what stands at a variant stands in the published schema; its fields would repeat it"
+)]
 pub enum DecisionRecord {
     /// The plan of this attempt (from 0) scored λ or more.
     Execute { attempt: usize },
@@ -299,6 +327,10 @@ impl LineRecord {
             PlannerAnswer::Assistance(assistance) => {
                 Self::Assistance(AssistanceRecord { text, assistance })
             }
+            PlannerAnswer::Waypoints(waypoints) => {
+                Self::Waypoints(WaypointsRecord { text, waypoints })
+            }
+            PlannerAnswer::Action(action) => Self::Action(ActionRecord { text, action }),
             PlannerAnswer::Code(code) => Self::Code(CodeRecord {
                 text,
                 c: code.centerline,
@@ -315,6 +347,8 @@ impl LineRecord {
         match self {
             Self::Code(code) => &code.text,
             Self::Assistance(assistance) => &assistance.text,
+            Self::Waypoints(waypoints) => &waypoints.text,
+            Self::Action(action) => &action.text,
         }
     }
 }
@@ -424,7 +458,9 @@ pub(super) fn calls_in(folder: &OpenFolder) -> Result<Vec<CallRecord>, ReportErr
 mod tests {
     use super::*;
     use crate::worker::run::AgentParts;
+    use planagent_agent::reasoning::{LISTED_WAYPOINTS, RoundName, SeenPlace, ToolUse};
     use planagent_agent::simulation::simulate;
+    use planagent_mllm::TokenCounts;
     use planagent_scenario::generator::{self, DEFAULT};
 
     #[test]
@@ -451,6 +487,45 @@ mod tests {
                 serde_json::from_str::<serde_json::Value>(&line).unwrap()
             );
             assert!(read.accepted().is_some(), "{:?}", read.decision);
+        }
+    }
+
+    #[test]
+    fn rounds_tools_and_answers_of_every_form_are_read_as_they_were_written() {
+        let places = [SeenPlace {
+            right: -0.5,
+            ahead: 4.0,
+        }; LISTED_WAYPOINTS];
+        let answers: [PlannerAnswer; 2] = [WaypointList(places).into(), DrivingAction::Left.into()];
+        for answer in answers {
+            let rounds = RoundName::ALL.iter().map(|&round| {
+                let tool = (round == RoundName::Tool).then(|| ToolUse {
+                    function: "f".to_owned(),
+                    arguments: "1".to_owned(),
+                    result: "two".to_owned(),
+                    failed: false,
+                });
+                serde_json::from_value(serde_json::json!({
+                    "round": round, "prompt": "p", "prompt_hash": "", "answer": "a", "finish": "complete",
+                    "constraint": "enforced", "tokens": TokenCounts::default(), "tool": tool,
+                }))
+                .unwrap()
+            });
+            let mut attempt = Attempt::of_rounds(rounds.collect());
+            attempt.answer = Some(answer);
+            let mut call = PlanningCall::without_attempts(3, 0.3, Decision::Execute(0), 1.0);
+            call.attempts.push(attempt);
+            let record = CallRecord::from_call("a", "b", None, &call);
+            let line = record.to_json().unwrap().to_string();
+            let read: CallRecord = serde_json::from_str(&line).unwrap();
+            assert_eq!(read, record);
+            let text = answer.to_string();
+            assert_eq!(read.attempts[0].code.as_ref().unwrap().text(), text);
+            let tools = read.attempts[0]
+                .rounds
+                .iter()
+                .filter(|round| round.tool.is_some());
+            assert_eq!(tools.count(), 1);
         }
     }
 }

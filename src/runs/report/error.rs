@@ -19,7 +19,7 @@ pub struct ReportError {
 }
 
 /// What is wrong with a file or folder of results.
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportFault {

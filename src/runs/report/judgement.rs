@@ -65,6 +65,7 @@ fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
         time.map(|time| format!(" after {} s", fixed(time, 1)))
             .unwrap_or_default()
     };
+    // A sentence for each factor of the score, in the order of its formula.
     let collision = match parts.no_collision {
         value if value >= 1.0 => "the ego causes no collision".to_owned(),
         value if value > 0.0 => format!("the ego hits an object{}", when(report.first_at_fault_s)),

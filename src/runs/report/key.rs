@@ -68,7 +68,7 @@ impl CompactParts {
                 .flat_map(|call| &call.attempts)
                 .flat_map(|attempt| &attempt.rounds);
             rounds
-                .filter(move |one| one.round == round)
+                .filter(move |one| one.round == round.into())
                 .map(|one| one.answer.as_str())
         };
         let is_choice = |answer: &str| {
@@ -168,6 +168,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
         row("`goal left 2 60`", meaning)
     });
     let mut rows = vec![
+        // In the order of the text, so that a reader finds each line where it stands.
         row(
             "`speed 7`",
             format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}"),

@@ -24,6 +24,8 @@ pub(super) const MAX_IMAGE_PIXELS: u32 = 4096;
 /// Largest `transcript.md`, bytes.
 pub(super) const MAX_TRANSCRIPT_BYTES: u64 = 64 << 20;
 
+/// Longest name of a scenario, its source, log or type, bytes. A path of Linux has at most 4,096.
+pub(super) const MAX_NAME_BYTES: usize = 8 << 10;
 /// Maximum number of simulations of a run.
 pub(super) const MAX_SIMULATIONS: usize = 1_000_000;
 /// Maximum number of iterations of a simulation: a day.

@@ -66,6 +66,7 @@ pub use simulation_row::{MetricScore, SimulationRow};
 pub use spread::Spread;
 pub use stamp::{NoStamp, Stamp, stamp};
 pub use summary::{Aggregate, ScenarioSummary, Summary};
+pub(crate) use table::Failure;
 pub use table::{LineWidth, comparison_table, failures, fill, main_table};
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};

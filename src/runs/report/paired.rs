@@ -81,7 +81,7 @@ pub struct RunComparison {
 /// Why two runs cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum NoPair {
     #[error(
         "the runs have no planner in common: the first has {}, the second {}; name two by --planner FIRST,SECOND",
@@ -120,6 +120,7 @@ impl RunComparison {
                 rows.iter().filter(|row| row.planner == name).count()
             };
             simulations += own(first.1, &pair.first) + own(second.1, &pair.second);
+            // Scenes that one run alone completed are counted, and not compared.
             scenes.extend(common(first.1, second.1, pair));
         }
         if scenes.is_empty() {

@@ -1,12 +1,17 @@
-//! Numbers of records, which may come from elsewhere. One beyond what a simulation can give makes its
-//! record a damaged one: it costs one row, and no table or page computes with it.
+//! Numbers and names of records, which may come from elsewhere. One beyond what a simulation can
+//! give makes its record a damaged one: it costs one row, and no table or page computes with it.
 
+use super::limits::MAX_NAME_BYTES;
 use serde::de::{Deserialize, Deserializer, Error};
+use std::collections::BTreeMap;
 
 /// Largest count of a simulation. Real ones are below a thousand.
 const MAX_COUNT: usize = 1_000_000_000;
 /// Longest time: moments in seconds since 1970 and times of calls in milliseconds are below.
 const MAX_TIME: f64 = 1e12;
+
+/// Characters of a long name that an error shows.
+const SHOWN_CHARS: usize = 40;
 
 /// A score from 0 to 1, or none.
 pub(super) fn score<'de, D: Deserializer<'de>>(source: D) -> Result<Option<f64>, D::Error> {
@@ -22,13 +27,41 @@ pub(super) fn score<'de, D: Deserializer<'de>>(source: D) -> Result<Option<f64>,
 
 /// A count.
 pub(super) fn count<'de, D: Deserializer<'de>>(source: D) -> Result<usize, D::Error> {
-    let count = usize::deserialize(source)?;
+    checked_count(usize::deserialize(source)?)
+}
+
+/// Counts by what was counted.
+pub(super) fn counts<'de, D, K>(source: D) -> Result<BTreeMap<K, usize>, D::Error>
+where
+    D: Deserializer<'de>,
+    K: Deserialize<'de> + Ord,
+{
+    BTreeMap::<K, usize>::deserialize(source)?
+        .into_iter()
+        .map(|(counted, count)| Ok((counted, checked_count(count)?)))
+        .collect()
+}
+
+fn checked_count<E: Error>(count: usize) -> Result<usize, E> {
     if count > MAX_COUNT {
-        return Err(D::Error::custom(format!(
+        return Err(E::custom(format!(
             "the count is {count}; it must be at most {MAX_COUNT}"
         )));
     }
     Ok(count)
+}
+
+/// A name of a scenario, a log or a scenario type.
+pub(super) fn name<'de, D: Deserializer<'de>>(source: D) -> Result<String, D::Error> {
+    let name = String::deserialize(source)?;
+    if name.len() > MAX_NAME_BYTES {
+        let begin: String = name.chars().take(SHOWN_CHARS).collect();
+        return Err(D::Error::custom(format!(
+            "the name '{begin}…' has {} bytes; it may have {MAX_NAME_BYTES}",
+            name.len()
+        )));
+    }
+    Ok(name)
 }
 
 /// A time.
@@ -87,6 +120,12 @@ mod tests {
         for field in ["planning_calls", "refused_calls", "rethinks", "deadlines"] {
             let error = read(field, "9223372036854775807").unwrap_err().to_string();
             assert!(error.contains("9223372036854775807"), "{field}: {error}");
+        }
+        let long = format!("\"{}\"", "x".repeat(10_000));
+        for field in ["source", "scenario", "scenario_type", "log_name"] {
+            let error = read(field, &long).unwrap_err().to_string();
+            assert!(error.contains("has 10000 bytes"), "{field}: {error}");
+            assert!(error.lines().last().is_some_and(|line| line.len() < 500));
         }
         for wild in ["nan", "1e308", "-inf"] {
             for field in ["started_s", "ended_s"] {

@@ -23,12 +23,16 @@ pub struct SimulationRow {
     /// Its number in the run, from 0.
     pub number: usize,
     /// The scenario's source as on the command line.
+    #[serde(deserialize_with = "recorded::name")]
     pub source: String,
     /// Name of the scenario.
+    #[serde(deserialize_with = "recorded::name")]
     pub scenario: String,
     /// nuPlan's scenario type.
+    #[serde(deserialize_with = "recorded::name")]
     pub scenario_type: String,
     /// Name of the log.
+    #[serde(deserialize_with = "recorded::name")]
     pub log_name: String,
     /// Name of the planner.
     #[serde(deserialize_with = "name_part")]
@@ -95,13 +99,21 @@ pub struct SimulationRow {
     #[serde(default, deserialize_with = "recorded::count")]
     pub failed_calls: usize,
     /// Planning calls in a scene without a lane graph.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub unmapped_calls: usize,
     /// What `pdm-closed` counted as drivable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
     /// Planning calls whose answers gave no plan, by what was wrong with the last of them.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::counts",
+        skip_serializing_if = "BTreeMap::is_empty"
+    )]
     pub unreadable_calls: BTreeMap<Unreadable, usize>,
     /// BLAKE3 of the other files of the simulation, by name: a damaged one counts as no simulation.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -154,6 +166,7 @@ impl SimulationRow {
         let calls = outcome.map_or(&[][..], |outcome| outcome.calls.as_slice());
         let gated_calls = calls.iter().filter(|call| call.is_gated()).count();
         let score = outcome.map(|outcome| &outcome.score);
+        // All counts come from the same calls, so that table, page and exit code never disagree.
         let interrupted = |why: fn(&Interruption) -> bool| {
             calls
                 .iter()

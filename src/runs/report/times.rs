@@ -1,10 +1,11 @@
 //! Wall times of simulations and planning calls.
 
 use super::recorded;
+use super::simulation_row::is_zero;
 use planagent_agent::planner::PlanningCall;
 use serde::{Deserialize, Serialize};
 
-/// Wall time of a planning call by part, milliseconds.
+/// Wall time of a planning call by part, milliseconds, and what was asked and answered in it.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CallTimes {
@@ -29,6 +30,15 @@ pub struct CallTimes {
     /// The whole call.
     #[serde(deserialize_with = "recorded::time")]
     pub total: f64,
+    /// Questions to the model.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub questions: usize,
+    /// Tokens that the model read in them: of texts and images, without those that it had read.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub read: usize,
+    /// Tokens of its answers.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub written: usize,
 }
 
 impl CallTimes {
@@ -47,6 +57,13 @@ impl CallTimes {
                 .map(|attempt| attempt.reflection_ms)
                 .sum(),
             total: call.total_ms,
+            questions: rounds().count(),
+            read: rounds()
+                .map(|round| round.tokens.text + round.tokens.image)
+                .sum(),
+            written: rounds()
+                .map(|round| round.tokens.fast_forwarded + round.tokens.sampled)
+                .sum(),
         }
     }
 }

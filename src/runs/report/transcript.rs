@@ -8,7 +8,7 @@ use super::times::CallTimes;
 use super::visible::{in_markdown, markdown_block, markdown_cell, markdown_line, visible_line};
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_agent::planner::{Attempt, PlanningCall};
-use planagent_agent::reasoning::RoundRecord;
+use planagent_agent::reasoning::{PlannerAnswer, RoundRecord, ToolUse};
 use planagent_world::STEP_S;
 use std::fmt::Write;
 
@@ -63,6 +63,7 @@ fn call_markdown(
         seconds(call.iteration),
         call.iteration
     );
+    // In the order of time: what the agent saw, what the model answered, what came of it.
     if let Some(sample) = outcome.log.samples.get(call.iteration) {
         let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());
     }
@@ -118,6 +119,7 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
     };
     let mut text = String::new();
     let repeat = Repeat::find(attempts, index);
+    // A small model often repeats itself. Written once, answers that differ are found sooner.
     if let Some(Repeat::Answers(of)) = repeat {
         for round in new_prompts(attempts, of, attempt) {
             let _ = writeln!(text, "*{}*\n\n{}\n", round.round, fenced(&round.prompt));
@@ -143,6 +145,9 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             fenced(&round.prompt),
             quoted(&round.answer)
         );
+        if let Some(tool) = &round.tool {
+            text.push_str(&tool_markdown(tool));
+        }
     }
     for error in &attempt.errors {
         let _ = writeln!(
@@ -166,14 +171,15 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         }
         text.push('\n');
     }
-    if let Some(line) = attempt.line() {
+    if let Some(answer) = &attempt.answer {
+        let line = answer.to_string();
         let same = match repeat {
             Some(Repeat::Code(of) | Repeat::Answers(of)) => {
                 format!(" (the code of attempt {})", of + 1)
             }
             None => String::new(),
         };
-        let _ = writeln!(text, "Code: {}{same}\n", code(&line));
+        let _ = writeln!(text, "{}: {}{same}\n", kind_of(answer), code(&line));
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> = reflection
@@ -190,6 +196,26 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         );
     }
     text
+}
+
+/// The tool that a round called, and what it gave.
+fn tool_markdown(tool: &ToolUse) -> String {
+    let state = if tool.failed { "refused" } else { "answered" };
+    format!(
+        "Tool {} with {} {state}:\n\n{}\n\n",
+        code(&tool.function),
+        code(&tool.arguments),
+        fenced(&tool.result)
+    )
+}
+
+/// What an answer is, as the head of its line.
+fn kind_of(answer: &PlannerAnswer) -> &'static str {
+    match answer {
+        PlannerAnswer::Code(_) | PlannerAnswer::Assistance(_) => "Code",
+        PlannerAnswer::Waypoints(_) => "Waypoints",
+        PlannerAnswer::Action(_) => "Action",
+    }
 }
 
 /// The rounds whose prompts differ from those of an earlier attempt.
@@ -239,18 +265,21 @@ fn code(text: &str) -> String {
 mod tests {
     use super::*;
     use planagent_agent::environment::CenterlineName;
-    use planagent_agent::reasoning::{PlannerCode, Round};
+    use planagent_agent::reasoning::{
+        DrivingAction, LISTED_WAYPOINTS, PlannerCode, Round, SeenPlace, WaypointList,
+    };
     use planagent_mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
         let round = RoundRecord {
-            round: Round::Code,
+            round: Round::Code.into(),
             prompt: prompt.to_owned(),
             prompt_hash: String::new(),
             answer: answer.to_owned(),
             finish: FinishReason::Complete,
             constraint: ConstraintUse::Unconstrained,
             tokens: TokenCounts::default(),
+            tool: None,
             time: RoundTime::default(),
         };
         let (centerline, lead_agent) = (CenterlineName::EgoLane, None);
@@ -302,5 +331,36 @@ mod tests {
             text(3)
         );
         assert_eq!(text(4), "");
+    }
+
+    #[test]
+    fn tools_and_other_forms_of_answers_are_told() {
+        let mut asked = attempt("which tool?", "objects_around()", 1.0);
+        let tool = |failed| ToolUse {
+            function: "objects_around".to_owned(),
+            arguments: "9".to_owned(),
+            result: "error: | one `too` many".to_owned(),
+            failed,
+        };
+        asked.rounds[0].tool = Some(tool(true));
+        asked.answer = Some(DrivingAction::Slower.into());
+        let text = attempt_markdown(&[asked.clone()], 0);
+        assert!(
+            text.contains("Tool `objects_around` with `9` refused:")
+                && text.contains("one `too` many")
+                && text.contains("Action: `slower`"),
+            "{text}"
+        );
+        asked.rounds[0].tool = Some(tool(false));
+        let places = [SeenPlace {
+            right: 0.0,
+            ahead: 4.0,
+        }; LISTED_WAYPOINTS];
+        asked.answer = Some(WaypointList(places).into());
+        let text = attempt_markdown(&[asked], 0);
+        assert!(
+            text.contains("answered:") && text.contains("Waypoints: `[(0.00,4.00), "),
+            "{text}"
+        );
     }
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 /// Why a command cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum CommandError {
     #[error(
         "'{0}' is no command; expected exec:COMMAND or NAME=exec:COMMAND. Agents that replay the log, or follow IDM, are those of \

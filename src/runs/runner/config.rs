@@ -5,7 +5,8 @@ use crate::report::RenamedSetting;
 use planagent_agent::environment::BevView;
 use planagent_agent::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use planagent_agent::planner::{
-    CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,
+    CallSettings, EnvironmentSettings, LanguageAgentSettings, LearnedSettings, PlanAgentSettings,
+    ReflectionSettings,
 };
 use planagent_agent::reasoning::{PromptSet, ReasoningConfig, Round};
 use planagent_mllm::{AdapterSpec, Trust, WeightFormat};
@@ -39,6 +40,9 @@ pub struct Config {
     /// Checkpoints of learned planners.
     #[serde(skip_serializing_if = "LearnedSettings::is_empty")]
     pub learned: LearnedSettings,
+    /// The other language agents of the paper's comparison.
+    #[serde(skip_serializing_if = "LanguageAgentSettings::is_default")]
+    pub language_agents: LanguageAgentSettings,
     /// What the folder of a run decides alone, for a configuration that comes from one. No file
     /// sets it.
     #[serde(skip)]
@@ -59,7 +63,10 @@ pub struct MllmConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<AdapterSpec>,
     /// Weight format in memory; `None` for that of the description or the files.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "WeightFormat::choice"
+    )]
     pub quantize: Option<WeightFormat>,
     /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values.
     /// `None` for that of the model.
@@ -89,7 +96,7 @@ impl Default for MllmConfig {
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ConfigError {
     #[error("cannot read the configuration {}: {source}", path.display())]
     Read {
@@ -245,6 +252,7 @@ impl Config {
             },
             reflection: self.reflection.clone(),
             learned: self.learned.clone(),
+            language_agents: self.language_agents.clone(),
             seed: self.seed,
         }
     }
@@ -258,8 +266,28 @@ impl Config {
             .or_else(|| Some(set()?.forms().scene_text.names_oncoming_lane()))
     }
 
+    /// Refuses intervals and limits of the other language agents that make no sense.
+    fn check_language_agents(&self) -> Result<(), String> {
+        for agent in self.language_agents.agents() {
+            let key = |key: &str| format!("language_agents.{}.{key}", agent.name);
+            if !(STEP_S..=MAX_INTERVAL_S).contains(&agent.interval_s) {
+                return Err(format!(
+                    "{} is {:e}; it must lie in {STEP_S} to {MAX_INTERVAL_S}",
+                    key("interval_s"),
+                    agent.interval_s
+                ));
+            }
+            check_whole_iterations(&key("interval_s"), agent.interval_s)?;
+            if agent.max_tokens == 0 {
+                return Err(format!("{} is 0; it must be at least 1", key("max_tokens")));
+            }
+        }
+        Ok(())
+    }
+
     /// Refuses values of the right type that make no sense; names the key, its value and its range.
     fn check(&self) -> Result<(), String> {
+        // serde checks types alone: a value of another unit is found here.
         let within = |key: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
             if range.contains(&value) {
                 return Ok(());
@@ -288,6 +316,7 @@ impl Config {
                     .to_owned(),
             );
         }
+        self.check_language_agents()?;
         for (key, value) in [
             ("agent.interval_s", self.agent.interval_s),
             ("agent.blocked_interval_s", self.agent.blocked_interval_s),

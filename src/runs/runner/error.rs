@@ -18,7 +18,7 @@ use std::path::PathBuf;
 /// Why runs cannot be merged.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum MergeError {
     #[error("no run to merge; name the folders of the shards")]
     NoRun,
@@ -68,7 +68,7 @@ pub enum MergeError {
 /// Why a run cannot start, resume or end. A failed simulation is no such error: the run records it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum RunnerError {
     #[error(transparent)]
     Report(#[from] ReportError),

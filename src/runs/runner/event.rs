@@ -51,6 +51,12 @@ pub enum Event {
     /// The first planning call of a run that got no answer, or the first whose answer gave no plan.
     /// Sent at once, from any thread.
     CallFailed(FailedCall),
+    /// The first simulation of a run that failed in a way of its own, while others are left. Sent at
+    /// once, from any thread.
+    SimulationFailed {
+        /// The scenario, the planner, the challenge and the error, in a line.
+        failure: String,
+    },
     /// A simulation ended.
     Ended {
         /// Whether it failed.

@@ -30,7 +30,7 @@ use tempfile::TempDir;
 const MARK: &[u8] = b"PRIVATE-BYTES-OF-THE-USER-5f2c";
 /// Planning calls of a run, from the inputs of the fuzz targets.
 const CALLS: &[u8] = include_bytes!("../../../fuzz/corpus/run_folder/whole_calls.bin");
-/// Wild values that are tried.
+/// Wild values that are tried, where `PROPTEST_CASES` gives no number.
 const CASES: u32 = 64;
 
 /// A work folder with a run and private files beside it.
@@ -425,8 +425,9 @@ fn change(place: &Place, record: &str, at: usize, by: &Value) {
 
 #[test]
 fn wild_values_in_records_change_and_show_nothing_private() {
+    let asked = std::env::var("PROPTEST_CASES").ok();
     let config = ProptestConfig {
-        cases: CASES,
+        cases: asked.map_or(CASES, |count| count.parse().unwrap()),
         failure_persistence: None,
         ..ProptestConfig::default()
     };

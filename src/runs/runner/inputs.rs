@@ -3,6 +3,7 @@
 use super::config::Config;
 use crate::report::{DataFile, Inputs};
 use planagent_files::{path_of, word_of};
+use planagent_planners::all_planners;
 use planagent_scenario::ScenarioRef;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -61,9 +62,19 @@ fn data_file(path: &Path, before: Option<&DataFile>) -> io::Result<DataFile> {
     }
 }
 
+/// Adds what these planners read themselves: checkpoints, and texts of their own.
+pub(super) fn add_own(inputs: &mut Inputs, planners: &[String], config: &Config) {
+    inputs.model.extend(checkpoint_digests(planners, config));
+    let (registry, settings) = (all_planners(), config.agent_settings());
+    let entries = planners
+        .iter()
+        .filter_map(|planner| registry.find(planner).ok());
+    entries.for_each(|entry| inputs.prompts.extend(entry.digests(&settings)));
+}
+
 /// BLAKE3 of the checkpoints of these planners, by path. One that cannot be read is left out:
 /// preparing its planner says why.
-pub(super) fn checkpoint_digests(planners: &[String], config: &Config) -> BTreeMap<String, String> {
+fn checkpoint_digests(planners: &[String], config: &Config) -> BTreeMap<String, String> {
     let digest = |path: &str| {
         let mut hasher = blake3::Hasher::new();
         hasher

@@ -65,9 +65,17 @@ impl LoadedModel {
         probe::probe(&self.code_source, config.environment.bev, listener)
     }
 
-    /// The parts of an agent with this model.
-    pub fn agent_parts(&self, config: &Config) -> AgentParts {
-        agent_parts(config, all_planners(), Some(self))
+    /// The parts of an agent with this model, which is asked before an agent depends on it.
+    ///
+    /// # Errors
+    /// When its server cannot be asked as the configuration says.
+    pub fn agent_parts(
+        &self,
+        config: &Config,
+        listener: &Listener,
+    ) -> Result<AgentParts, RunnerError> {
+        self.probe(config, listener)?;
+        Ok(agent_parts(config, all_planners(), Some(self)))
     }
 
     /// The model with its prompts and the way in which it samples.
@@ -235,7 +243,7 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             about.name, server.model, server.endpoint
         ),
         None => format!(
-            "model {}: {} parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            "model {}: {} parameters, {}, {}, loaded in {load_s:.2} s",
             about.name,
             parameter_count(about.parameters),
             about
@@ -243,7 +251,10 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
                 .weight_formats
                 .first()
                 .map_or(about.dtype.as_str(), |most| most.weight_format.name()),
-            about.image_tokens
+            match about.image_size {
+                Some(_) => format!("{} image tokens", about.image_tokens),
+                None => "reads text alone: no BEV map is shown to it".to_owned(),
+            }
         ),
     }
 }

@@ -13,7 +13,7 @@ pub(super) const MODEL: &str = "mllm.model";
 /// What the folder of a run names, and no user.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum NotNamed {
     #[error(
         "the model of this run is '{model}', a server, a description or a model of the hub, which a run never opens by itself; \

@@ -3,39 +3,26 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use planagent_agent::planner::CodeSource;
-use planagent_mllm::ProbeQuestion;
 
-/// Asks the model of an agent what planning calls will ask. `bev` says whether they show a picture.
-/// A model that was asked before is not asked again, and one in this process never.
+/// Asks the model of an agent what planning calls will ask, and tells what is odd in its answers.
+/// `bev` says whether the calls show a picture.
 pub(super) fn probe(
     source: &CodeSource,
     bev: bool,
     listener: &Listener,
 ) -> Result<(), RunnerError> {
-    let CodeSource::Model {
-        model, reasoning, ..
-    } = source
-    else {
+    let Some(name) = source.model_name() else {
         return Ok(());
     };
-    let generation = reasoning.generation;
-    let question = ProbeQuestion {
-        picture: bev,
-        constrained: reasoning.grammar,
-        max_new_tokens: generation.max_new_tokens.understanding,
-        sampling: generation.sampling,
-    };
-    let name = model.name();
-    let remarks = model
-        .probe(&question, &|wait| {
-            listener(Event::Note(format!("model {name}: {wait}")));
-        })
+    let tell = |remark: &str| listener(Event::Note(format!("model {name}: {remark}")));
+    let remarks = source
+        .probe(bev, &tell)
         .map_err(|source| RunnerError::AskModel {
             name: name.to_owned(),
             source: Box::new(source),
         })?;
     for remark in remarks {
-        listener(Event::Note(format!("model {name}: {remark}")));
+        tell(&remark);
     }
     Ok(())
 }

@@ -5,14 +5,19 @@ use super::event::{Event, Listener};
 use super::machine::cpu;
 use super::probe;
 use super::watch::while_in_place;
+use crate::report::Failure;
 use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing};
 use crate::worker::FailedCall;
-use crate::worker::run::{self, AgentParts, SimulationTask};
+use crate::worker::run::{self, AgentParts, SimulationRecord, SimulationTask};
 use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
+
+/// Kinds of failed simulations of which a run tells before its end.
+const MAX_TOLD: usize = 10;
 
 /// How a run is resumed.
 #[derive(Debug, Clone, Copy, Default)]
@@ -76,6 +81,8 @@ pub struct Run {
     pub(super) retried: usize,
     /// The causes of failed planning calls that were told: of each the first.
     told: Arc<Mutex<BTreeSet<&'static str>>>,
+    /// The kinds of failed simulations that were told.
+    told_failures: Mutex<BTreeSet<String>>,
 }
 
 impl Run {
@@ -92,6 +99,7 @@ impl Run {
             simulated: 0,
             retried: 0,
             told: Arc::default(),
+            told_failures: Mutex::default(),
         })
     }
 
@@ -116,6 +124,7 @@ impl Run {
         }
         plan.manifest = manifest;
         let completed = folder.completed(&plan.tasks)?;
+        // What a crash left half-written is simulated again, and the rest stays.
         for path in &completed.damaged {
             let text = format!(
                 "the record or a result in {} is damaged; its simulation is repeated",
@@ -152,6 +161,7 @@ impl Run {
             simulated: 0,
             retried: discarded.len(),
             told: Arc::default(),
+            told_failures: Mutex::default(),
         })
     }
 
@@ -217,6 +227,23 @@ impl Run {
         self.plan.probe(listener)
     }
 
+    /// Tells of a simulation that failed as none did before. So does the end of the run, which may
+    /// be hours away.
+    fn tell_failure(&self, record: &SimulationRecord, listener: &Listener) {
+        let Some(failure) = Failure::from_record(record) else {
+            return;
+        };
+        let mut told = self
+            .told_failures
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if told.len() < MAX_TOLD && told.insert(failure.kind) {
+            listener(Event::SimulationFailed {
+                failure: failure.line,
+            });
+        }
+    }
+
     /// Simulates some of the tasks that are left, and writes each as it ends.
     #[doc(hidden)]
     pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
@@ -238,6 +265,7 @@ impl Run {
             on_failed_call: Some(Arc::new(on_failed_call)),
             ..self.plan.agent.clone()
         };
+        let ended = AtomicUsize::new(0);
         let stopped = || RunnerError::Stopped {
             folder: folder.path().to_owned(),
         };
@@ -254,6 +282,9 @@ impl Run {
                         return Err(stopped());
                     }
                     folder.commit(number, &record)?;
+                    if ended.fetch_add(1, Ordering::Relaxed) + 1 < self.left.len() {
+                        self.tell_failure(&record, listener);
+                    }
                     listener(Event::Ended {
                         failed: record.outcome.is_err(),
                     });

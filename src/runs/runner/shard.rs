@@ -21,7 +21,7 @@ pub struct NoShard;
 /// Environment variables that name no shard.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ShardEnvironmentError {
     #[error("{name} is '{value}'; it must be a whole number")]
     NoNumber { name: &'static str, value: String },
@@ -109,6 +109,7 @@ impl Shard {
                 number(TASK_MIN)?.unwrap_or(1),
                 number(TASK_STEP)?.unwrap_or(1).max(1),
             );
+            // An array with gaps would leave simulations out.
             let last = first.saturating_add(step.saturating_mul(of.saturating_sub(1)));
             let place = task.saturating_sub(first);
             if number(TASK_MAX)?.is_some_and(|found| found != last) || place % step != 0 {

@@ -4,7 +4,7 @@ use super::commands::Commands;
 use super::config::{Config, ConfigError};
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use super::inputs::{checkpoint_digests, data_files};
+use super::inputs::{add_own, data_files};
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
 use super::of_run::{MODEL, OfRun, checkpoint_key};
@@ -103,6 +103,7 @@ pub fn resume(
                         data: data.clone(),
                         ..of_model
                     };
+                    add_own(&mut inputs, &before.planners, config);
                 }
                 Err(error @ RunnerError::NotNamed(_)) => return Err(error),
                 Err(_) => {}
@@ -271,7 +272,7 @@ pub fn manifest(
             .map(|loaded| loaded.inputs.clone())
             .unwrap_or_default()
     };
-    inputs.model.extend(checkpoint_digests(&planners, config));
+    add_own(&mut inputs, &planners, config);
     Ok(Manifest {
         format_version: FORMAT_VERSION,
         result_version: RESULT_VERSION,

@@ -143,21 +143,27 @@ pub fn draw_generated(seeds: Seeds, per_kind: usize) -> Result<Vec<String>, Read
     Ok(all)
 }
 
+/// What was drawn in a folder of recordings.
+#[derive(Debug)]
+pub struct RecordedDraw {
+    /// The scenarios, by their paths in the folder.
+    pub words: Vec<String>,
+    /// The recordings that cannot be opened, each with the reason.
+    pub refused: Vec<String>,
+}
+
 /// Draws the scenarios of [`RECORDED`] in a folder of data: every recording with every kind that
 /// fits it.
 ///
 /// # Errors
-/// When the folder has no recordings.
-pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, ReaderError> {
-    let folders = RECORDINGS
+/// When no recording of the folder can be opened, or no kind fits one.
+pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<RecordedDraw, ReaderError> {
+    let folders: Vec<PathBuf> = RECORDINGS
         .map(|folder| data.join(folder))
         .into_iter()
-        .filter(|folder| folder.is_dir());
-    let mut recordings = Vec::new();
-    for folder in folders {
-        recordings.extend(readers.find(&word_of(folder.as_os_str()))?);
-    }
-    if recordings.is_empty() {
+        .filter(|folder| folder.is_dir())
+        .collect();
+    if folders.is_empty() {
         return Err(if data.is_dir() {
             ReaderError::Empty {
                 path: data.to_owned(),
@@ -170,18 +176,61 @@ pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, Read
             ReaderError::Missing(data.to_owned())
         });
     }
-    let prefix = format!("{}/", word_of(data.as_os_str()));
-    let mut all = Vec::new();
+    let (mut recordings, mut refused) = (Vec::new(), Vec::new());
+    for folder in folders {
+        match readers.find(&word_of(folder.as_os_str())) {
+            Ok(found) => recordings.extend(found),
+            Err(error) => refused.push(error.to_string()),
+        }
+    }
+    // A kind that does not fit is no fault, a recording that cannot be opened is one.
+    let problems: Vec<Option<String>> = recordings.par_iter().map(problem_of).collect();
+    let mut problems = problems.into_iter();
+    recordings.retain(|_| match problems.next().flatten() {
+        Some(problem) => {
+            refused.push(problem);
+            false
+        }
+        None => true,
+    });
+    if recordings.is_empty() {
+        let first = refused
+            .into_iter()
+            .next()
+            .expect("each folder gives recordings or an error");
+        return Err(ReaderError::Unreadable(first));
+    }
+    let prefix = format!("{}/", word_of(data.as_os_str()).trim_end_matches('/'));
+    let mut words = Vec::new();
     for kind in InteractionKind::ALL {
         let modification = modification(kind)?;
         let fits = |recording: &ScenarioRef| fitting(&modification, recording.clone(), 0.0);
         let own: Vec<String> = recordings.par_iter().filter_map(fits).collect();
-        all.extend(
+        words.extend(
             own.into_iter()
                 .map(|word| word.strip_prefix(&prefix).unwrap_or(&word).to_owned()),
         );
     }
-    Ok(all)
+    if words.is_empty() {
+        return Err(ReaderError::Unreadable(format!(
+            "no kind fits a recording of {}: {} were opened",
+            data.display(),
+            recordings.len()
+        )));
+    }
+    Ok(RecordedDraw { words, refused })
+}
+
+/// Why a recording cannot be opened, with its name.
+fn problem_of(recording: &ScenarioRef) -> Option<String> {
+    let problem = recording.open().err()?.to_string();
+    let word = recording.to_string();
+    let file = word.split('#').next().unwrap_or(&word);
+    Some(if problem.contains(file) {
+        problem
+    } else {
+        format!("{word}: {problem}")
+    })
 }
 
 fn modification(kind: InteractionKind) -> Result<ReadModification, ReaderError> {
@@ -228,7 +277,7 @@ fn listed(header: &str, words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planagent_scenario::DataRoots;
+    use planagent_scenario::{DataRoots, ScenarioReader};
     use std::collections::BTreeSet;
 
     #[test]
@@ -278,6 +327,37 @@ mod tests {
         // A folder of the right name without recordings.
         std::fs::create_dir(folder.path().join("womd")).unwrap();
         assert!(error(folder.path()).contains("holds no scenarios"));
+    }
+
+    /// One recording opens, the other does not.
+    #[derive(Debug)]
+    struct HalfBroken;
+
+    impl ScenarioReader for HalfBroken {
+        fn recognizes(&self, word: &str) -> bool {
+            word.ends_with("womd")
+        }
+
+        fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+            let good: Spec = "generated/following_lane_with_lead/3"
+                .parse()
+                .expect("a name of a scene");
+            let broken = ScenarioRef::unreadable(&Path::new(word).join("b"), "cut".to_owned());
+            Ok(vec![good.into(), broken])
+        }
+    }
+
+    #[test]
+    fn a_recording_that_cannot_be_opened_is_told_and_hides_no_other() {
+        let readers = Readers::new(&DataRoots::default()).with(HalfBroken);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("womd")).unwrap();
+        let drawn = draw_recorded(folder.path(), &readers).unwrap();
+        assert!(!drawn.words.is_empty());
+        let [refused] = &drawn.refused[..] else {
+            panic!("{drawn:?}")
+        };
+        assert!(refused.contains("womd/b: cut"), "{refused}");
     }
 
     #[test]

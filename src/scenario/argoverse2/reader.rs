@@ -4,22 +4,36 @@ use super::files::LogFiles;
 use super::{contents, is_log, logs_in, name, open};
 use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use planagent_files::{path_of, word_of};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Takes folders that hold a log.
+/// Endings of the files right in the folder of a log.
+const ENDINGS: [&str; 2] = ["parquet", "feather"];
+
+/// Takes folders that hold a log, and a file right in one.
 pub(crate) struct Argoverse2Reader;
+
+/// The folder of the log that a path names: its own, or that of one of its files.
+fn log_at(path: &Path) -> Option<&Path> {
+    if is_log(path) {
+        return Some(path);
+    }
+    let is_file = path
+        .extension()
+        .is_some_and(|own| ENDINGS.iter().any(|ending| own == *ending))
+        && path.is_file();
+    path.parent().filter(|folder| is_file && is_log(folder))
+}
 
 impl ScenarioReader for Argoverse2Reader {
     fn recognizes(&self, word: &str) -> bool {
-        is_log(&path_of(word))
+        log_at(&path_of(word)).is_some()
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         let path = &path_of(word);
-        let folders = if is_log(path) {
-            vec![path.clone()]
-        } else {
-            logs_in(path).map_err(ReaderError::new)?
+        let folders = match log_at(path) {
+            Some(folder) => vec![folder.to_owned()],
+            None => logs_in(path).map_err(ReaderError::new)?,
         };
         let reference = |folder: PathBuf| {
             let name = name(&folder);
@@ -52,5 +66,28 @@ impl OpenScenario for Log {
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
         contents(&self.0).map(Some).map_err(ReaderError::new)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_a_log_names_its_log() {
+        let root = tempfile::tempdir().unwrap();
+        let log = root.path().join("log");
+        std::fs::create_dir(&log).unwrap();
+        let file = log.join("scenario_1.parquet");
+        std::fs::write(&file, "").unwrap();
+        let other = root.path().join("other.parquet");
+        std::fs::write(&other, "").unwrap();
+        assert_eq!(log_at(&log), Some(log.as_path()));
+        assert_eq!(log_at(&file), Some(log.as_path()));
+        assert_eq!(log_at(&other), None);
+        assert_eq!(log_at(&log.join("absent.parquet")), None);
+        let listed = Argoverse2Reader.list(&word_of(file.as_os_str())).unwrap();
+        assert_eq!(listed.len(), 1);
+        assert_eq!(listed[0].to_string(), word_of(log.as_os_str()));
     }
 }

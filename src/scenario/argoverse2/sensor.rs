@@ -37,6 +37,7 @@ pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argo
         .ok_or(LogFault::Empty)
         .map_err(Argoverse2Error::at(annotations))?
         .translation;
+    // Whole meters, so that coordinates keep the decimals of the log.
     let origin = Vector::new(first.x.round(), first.y.round());
     let boxes = Annotations::read(&table, &sweeps_ns, &frames, origin)
         .map_err(Argoverse2Error::at(annotations))?;

@@ -25,7 +25,7 @@ const START_US: i64 = 10_000_000;
 
 /// Why a draw is discarded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum Discard {
     #[error("the expert collides")]
     Collision,

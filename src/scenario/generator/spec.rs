@@ -29,7 +29,7 @@ pub struct Spec {
 
 /// Why there is no such generated scenario.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum GeneratorError {
     #[error(
         "'{0}' does not name a generated scenario: expected generated/<scenario type>/<seed> or \

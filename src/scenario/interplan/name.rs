@@ -7,7 +7,7 @@ use std::fmt;
 
 /// What is wrong with a name. interPlan raises `IndexError`, `KeyError` and `ValueError`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub(crate) enum NameFault {
     #[error("the letter '{0}' has no value behind it")]
     NoValue(char),

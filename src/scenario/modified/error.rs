@@ -5,7 +5,7 @@ use planagent_world::InteractionKind;
 
 /// Why a modification cannot be read, or does not fit a scenario.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum ModifyError {
     #[error("cannot read the modification {place}: {source}")]

@@ -52,6 +52,7 @@ pub(super) fn finish(draft: Draft, modification: &Modification) -> Result<Scenar
             return Err(unfit(&draft, fault));
         }
     }
+    // The ego comes first: what is on its path, and who has room, depends on its start.
     set_ego(&mut draft);
     remove_on_path(&mut draft);
     let moving = with_room(&draft);
@@ -210,6 +211,7 @@ fn frames(draft: &Draft, moving: &[MovingVehicle], interaction: &Interaction) ->
         logged.chain(&draft.standing).copied().collect()
     };
     let mut frames: Vec<Frame> = Vec::with_capacity(base.len());
+    // Vehicles that move at the start moved before it: the history must not contradict their speed.
     for frame in &base[..start] {
         let before_s = (base[start].ego.time_us - frame.ego.time_us) as f64 / MICROS_PER_SECOND;
         let earlier = |one: &MovingVehicle| {

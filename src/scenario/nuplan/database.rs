@@ -243,8 +243,12 @@ fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
     if start.starts_with(MAGIC) {
         Ok(())
     } else {
-        let fault = FileFault::NotADatabase(kind_of(&start));
-        Err(NuPlanError::file(path, fault))
+        let kind = if start.is_empty() {
+            Some("empty")
+        } else {
+            kind_of(&start)
+        };
+        Err(NuPlanError::file(path, FileFault::NotADatabase(kind)))
     }
 }
 

@@ -52,7 +52,7 @@ impl fmt::Display for CellPlace {
 
 /// What is wrong with the content of a cell.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum CellFault {
     #[error("is NULL")]
     Null,
@@ -83,7 +83,7 @@ pub enum CellFault {
 
 /// Why an intact log does not hold a scenario that can be simulated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ScenarioFault {
     #[error("the log holds no lidar_pc row of this token")]
     NotInLog,
@@ -109,7 +109,7 @@ pub enum ScenarioFault {
 
 /// Why the route of a scene cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum RouteFault {
     #[error("its route is empty (column roadblock_ids)")]
     Empty,
@@ -123,7 +123,7 @@ pub enum RouteFault {
 
 /// What is wrong with a file or folder.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum FileFault {
     #[error("cannot open: {0}")]
     Open(#[source] std::io::Error),
@@ -202,7 +202,7 @@ fn versions(found: &[String]) -> String {
 
 /// Why nuPlan data cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum NuPlanError {
     #[error(
         "the folder of nuPlan's logs is not known: give --data-root or set NUPLAN_DATA_ROOT to the folder that holds them"

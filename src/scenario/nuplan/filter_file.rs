@@ -28,7 +28,7 @@ pub struct FilterFile {
 
 /// What is wrong in a filter file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum FilterFault {
     #[error("not a scenario filter in YAML (lines of `key: value`): {0}")]
     Yaml(String),
@@ -66,7 +66,7 @@ pub enum FilterFault {
 
 /// Why a filter file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum FilterError {
     #[error("{}: cannot open: {source}", path.display())]
     Io {

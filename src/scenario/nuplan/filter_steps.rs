@@ -223,6 +223,7 @@ fn excluded_by_rows(
     let Some(start) = ego(0)? else {
         return Ok(Some(Exclusion::NotDrivable));
     };
+    // The fields that need the fewest rows come first, and the one that needs the map comes last.
     let moves = filter.ego_displacement_minimum_m.is_some()
         || filter.ego_start_speed_threshold.is_some()
         || filter.ego_stop_speed_threshold.is_some();

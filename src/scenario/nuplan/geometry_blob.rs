@@ -38,7 +38,7 @@ impl fmt::Display for GeometryKind {
 
 /// What is wrong with a blob.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum BlobError {
     #[error(
         "no GeoPackage geometry of version 0, or its header is damaged: it begins with {0:02x?}"

@@ -181,6 +181,7 @@ impl<'a> Ids<'a> {
                 )
             })?;
             let polygon = largest(row.areas).ok_or_else(|| fault("geom", CellFault::Null))?;
+            // Neighbors are the lanes of a group with the next index.
             let at = |index: Option<i64>| {
                 let lane = index
                     .and_then(|index| beside.get(&(row.group, index)))

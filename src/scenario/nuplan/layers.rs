@@ -110,6 +110,7 @@ impl Layers {
                     of(CROSSWALKS)?,
                 ])
             });
+            // The smallest layers, on this thread while the others decode.
             let stops = source.each(STOP_POLYGONS, Source::stop)?;
             let connectors = source.each(LANE_CONNECTORS, |_, record| connector(record))?;
             let [

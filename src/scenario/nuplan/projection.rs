@@ -20,7 +20,7 @@ const ZONES: u32 = 60;
 
 /// Why coordinates cannot be projected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ProjectionError {
     #[error("'{0}' does not name a coordinate system: expected for example `epsg:32611`")]
     Name(String),

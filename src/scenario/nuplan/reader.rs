@@ -36,7 +36,7 @@ pub struct NuPlanReader {
 
 /// Why a word names no scenario of a nuPlan log.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub(crate) enum LogWordError {
     #[error(transparent)]
     Read(#[from] NuPlanError),

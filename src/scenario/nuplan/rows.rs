@@ -84,6 +84,7 @@ impl Rows {
         if past.is_empty() {
             return Err(failed(ScenarioFault::NoHistory));
         }
+        // Speeds are differences over the time between two rows.
         if let Some(pair) = window
             .windows(2)
             .find(|pair| pair[0].time_us == pair[1].time_us)

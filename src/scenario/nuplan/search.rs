@@ -50,6 +50,7 @@ pub fn search(
     let mut excluded: BTreeMap<Token, Exclusion> = BTreeMap::new();
     let mut found = Vec::new();
     let mut first_error = None;
+    // In the order of the logs, whichever thread was first: each run finds the same scenarios.
     for (log, searched) in logs.iter().zip(searched) {
         let in_log = match searched {
             Ok(Some(in_log)) => in_log,

@@ -14,12 +14,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::UNIX_EPOCH;
+use std::time::{Duration, UNIX_EPOCH};
 
 /// Incremented when the layout of the file changes.
 const VERSION: u32 = 1;
 /// Ending of the files.
 const ENDING: &str = "index";
+/// Ending of a file in progress.
+const UNFINISHED: &str = ".tmp";
+/// Age at which a file in progress has nobody who writes it. An index of a log of an hour takes a
+/// minute.
+const MAX_BUILD: Duration = Duration::from_hours(1);
 /// The tables that each frame searches, and the column.
 const SEARCHED: [(Table, &str); 4] = [
     (LIDAR_BOX, "lidar_pc_token"),
@@ -246,7 +251,7 @@ fn build(
     /// Distinguishes the files that threads of this process write.
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-    let unfinished = file.with_extension(format!("{}-{number}.tmp", std::process::id()));
+    let unfinished = file.with_extension(format!("{}-{number}{UNFINISHED}", std::process::id()));
     let written = write(log, missing, &unfinished).and_then(|()| {
         fs::rename(&unfinished, file)
             .map_err(|e| IndexError::Cache(format!("{}: {e}", file.display())))
@@ -305,7 +310,8 @@ fn write(
     index.close().map_err(|(_, source)| cache(source))
 }
 
-/// Removes the indices of former states of a log, as far as possible.
+/// Removes the indices of former states of a log, and what dead processes left of any index, as far
+/// as possible.
 fn remove_stale(folder: &Path, stem: &str, current: &str) {
     let Ok(entries) = fs::read_dir(folder) else {
         return;
@@ -313,7 +319,14 @@ fn remove_stale(folder: &Path, stem: &str, current: &str) {
     for entry in entries.flatten() {
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        if name.starts_with(stem) && name.ends_with(&format!(".{ENDING}")) && name != current {
+        let is_former =
+            name.starts_with(stem) && name.ends_with(&format!(".{ENDING}")) && name != current;
+        let is_left = || {
+            let written = entry.metadata().and_then(|entry| entry.modified());
+            let age = written.ok().and_then(|written| written.elapsed().ok());
+            name.ends_with(UNFINISHED) && age.is_some_and(|age| age > MAX_BUILD)
+        };
+        if is_former || is_left() {
             let _ = fs::remove_file(entry.path());
         }
     }
@@ -322,4 +335,35 @@ fn remove_stale(folder: &Path, stem: &str, current: &str) {
 /// A folder in that of what can be made again.
 pub(super) fn default_folder() -> Option<PathBuf> {
     planagent_files::cache_folder().map(|folder| folder.join("nuplan"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_dead_processes_left_is_deleted() {
+        let cache = tempfile::tempdir().unwrap();
+        let [former, now, left, alive, other] = [
+            "ab-1.1.index",
+            "ab-2.1.index",
+            "cd-1.1.7-0.tmp",
+            "cd-1.1.8-0.tmp",
+            "cd-1.1.index",
+        ];
+        for name in [former, now, left, alive, other] {
+            fs::write(cache.path().join(name), "").unwrap();
+        }
+        let file = fs::File::options()
+            .append(true)
+            .open(cache.path().join(left))
+            .unwrap();
+        let long_ago = std::time::SystemTime::now() - 2 * MAX_BUILD;
+        file.set_modified(long_ago).unwrap();
+        remove_stale(cache.path(), "ab", now);
+        let names = fs::read_dir(cache.path()).unwrap();
+        let mut names: Vec<_> = names.map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, [now, alive, other]);
+    }
 }

@@ -57,7 +57,7 @@ pub const PUBLISHED_SPLITS: [PublishedSplit; 3] = [
 
 /// Why a list gives no scenarios.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum SplitError {
     #[error(
         "the split {name} is a list of {tokens} scenarios, and its file is not on this machine. Get {file} from \

@@ -67,11 +67,13 @@ impl MapFeatures {
             let id = feature.id;
             match &feature.feature_data {
                 Some(FeatureData::Lane(lane)) if lane.r#type == LaneType::BikeLane as i32 => {
+                    // No lane for motor vehicles; it is read for its faults alone.
                     local_points(id, &places_of(&lane.polyline), origin)?;
                 }
                 Some(FeatureData::Lane(lane)) => {
                     match Trace::from_points(id, &places_of(&lane.polyline), origin)? {
                         Some(trace) => drivable.push((id, lane, trace)),
+                        // A lane of one point has no length: it only leads to its exits.
                         None => drop(passages.insert(id, &lane.exit_lanes)),
                     }
                 }

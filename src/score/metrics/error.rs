@@ -5,7 +5,7 @@ use planagent_world::{MICROS_PER_SECOND, TrajectoryError};
 /// Why a simulation has no metrics.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum MetricError {
     #[error("the metrics need at least {needed} samples, got {got}")]
     TooFewSamples { got: usize, needed: usize },

@@ -21,7 +21,7 @@ const EQUAL_SCORES: f64 = 1e-8;
 
 /// Why PDM-Closed gives no plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum PdmError {
     #[error(transparent)]
     NoReferencePath(#[from] NoReferencePath),

@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 
 /// Why PDM-Closed has no reference path.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum NoReferencePath {
     #[error("the route has no lanes")]
     EmptyRoute,

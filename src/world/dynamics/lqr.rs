@@ -24,7 +24,7 @@ const STOPPING_VELOCITY: f64 = 0.2;
 
 /// Why a trajectory cannot be tracked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum TrackingError {
     #[error("the trajectory does not cover the step to be driven")]

@@ -32,7 +32,7 @@ pub type Vector = nalgebra::Vector2<f64>;
 
 /// Why coordinates make no shape.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 #[non_exhaustive]
 pub enum GeometryError {
     #[error("vertex {index} has a NaN or infinite coordinate: ({x}, {y})")]

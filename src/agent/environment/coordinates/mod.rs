@@ -5,7 +5,7 @@
 mod gpt_driver;
 mod llm_assist;
 
-pub use gpt_driver::GptDriverText;
+pub use gpt_driver::{EgoFacts, GptDriverText, seen_objects};
 pub use llm_assist::llm_assist_text;
 
 use planagent_world::geometry::{Point, Pose};

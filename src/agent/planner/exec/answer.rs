@@ -21,7 +21,10 @@ pub(super) fn read(line: &[u8]) -> Result<ExecReply, String> {
         .strip_prefix(BYTE_ORDER_MARK)
         .unwrap_or(line)
         .trim_ascii();
-    if let Ok(reply) = serde_json::from_slice(line) {
+    // A list is no message, though serde would take one for the fields in their order.
+    if line.starts_with(b"{")
+        && let Ok(reply) = serde_json::from_slice(line)
+    {
         return Ok(reply);
     }
     Err(fault(line))
@@ -310,6 +313,7 @@ mod tests {
             ("{\"type\": \"rea", "ends inside"),
             ("{\"type\": \"rea\\q\"}", "escape"),
             ("[{\"type\": \"ready\"}]", "a list and no JSON object"),
+            ("[\"ready\"]", "a list and no JSON object"),
             ("3.5", "a number and no JSON object"),
             ("true", "a single word"),
             ("\"ready\"", "a text in quotes"),

@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 const VERSION: u32 = 1;
 /// Longest time that a state of a trajectory may be away from now, seconds.
 const MAX_TIME_S: f64 = 600.0;
+/// Latest begin of a plan from now, seconds: some planners' states are a second apart.
+const MAX_START_S: f64 = 3.0;
 /// Fewest states of a trajectory.
 const MIN_STATES: usize = 2;
 
@@ -388,6 +390,13 @@ pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Traject
     if let Some(place) = states.iter().position(|state| !is_near(state)) {
         return Err(format!(
             "the time of state {place} is not within {MAX_TIME_S} s from now"
+        ));
+    }
+    // The clock of the scenario in place of the time from now would hold the ego where it is.
+    if let Some(first) = states.first().filter(|first| first.t > MAX_START_S) {
+        return Err(format!(
+            "the plan begins {:.1} s from now, and {MAX_START_S} s are the limit; t of a state is in seconds from now",
+            first.t
         ));
     }
     let own = |state: &ExecState| TrajectoryState {

@@ -157,6 +157,7 @@ fn a_plan_has_two_states_and_starts_at_the_ego() {
             "jumps 998.0 m in 0.50 s to its state at 1.00 s",
         ),
         (&[(1e9, 1000.0), (2e9, 1000.0)], "the time of state 0"),
+        (&[(10.0, 1000.0), (10.1, 1000.0)], "begins 10.0 s from now"),
         (&[(0.0, 1000.0), (0.0, 1000.0)], "not after"),
     ] {
         let error = plan(states).unwrap_err();

@@ -5,7 +5,7 @@ use super::answer::{Assistance, grammar, parse_assistance};
 use super::prompts::AssistPrompts;
 use crate::reasoning::code_parser::Parsed;
 use crate::reasoning::engine::{
-    Feedback, ReasoningSettings, ReasoningTrace, feedback_text, record,
+    Feedback, ReasoningSettings, ReasoningTrace, feedback_text, round_record,
 };
 use crate::reasoning::error::ReasoningError;
 use crate::reasoning::prompt_set::PromptSet;
@@ -104,7 +104,7 @@ impl<'a> AssistReasoning<'a> {
             Err(error) => return Err(error.into()),
         };
         let parsed = parse_assistance(&answer.text, self.variant);
-        let rounds = vec![record(Round::Code, prompt, answer)];
+        let rounds = vec![round_record(Round::Code, prompt, answer)];
         Ok(ReasoningTrace {
             rounds,
             interruption: None,

@@ -1,7 +1,7 @@
 //! `planagent models check` of a model that a server computes.
 
 use crate::Printer;
-use planagent_mllm::{MllmError, ModelRegistry, ModelSpec, ProbeQuestion, Server};
+use planagent_mllm::{MllmError, ModelRegistry, ModelSpec, Server};
 use planagent_runs::runner::Config;
 use serde::Serialize;
 
@@ -34,12 +34,7 @@ pub(super) fn check<'a>(
         Err(error) => return refused(model, None, &error),
     };
     let server = opened.describe().server;
-    let question = ProbeQuestion {
-        picture: config.environment.bev,
-        constrained: config.reasoning.grammar,
-        max_new_tokens: generation.max_new_tokens.understanding,
-        sampling: generation.sampling,
-    };
+    let question = generation.probe(config.environment.bev, config.reasoning.grammar);
     let on_wait = |text: &str| printer.note(format!("{model}: {text}"));
     match opened.probe(&question, &on_wait) {
         Ok(problems) => ServerRow {

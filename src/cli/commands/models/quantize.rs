@@ -35,6 +35,7 @@ pub(super) fn run(
         bail!("{} exists; --force overwrites it", path.display());
     }
     let spec = registry.find(&flags.source)?;
+    // Before the model is read, which may take minutes.
     for part in parts {
         check_output(&part.path(&flags.out))?;
     }

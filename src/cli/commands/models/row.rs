@@ -58,6 +58,7 @@ pub(super) struct Row {
 
 impl Row {
     pub(super) fn for_model(name: String, registry: &ModelRegistry) -> Self {
+        // A model that cannot be found or opened is a row, too: a list does not end at it.
         let spec = match registry.find(&name) {
             Ok(spec) => spec,
             Err(error) => {
@@ -150,8 +151,8 @@ impl Row {
         Self {
             family: Some(*family),
             parameters: Some(*parameters),
-            image_size: Some(*image_size),
-            image_tokens: Some(*image_tokens),
+            image_size: *image_size,
+            image_tokens: image_size.and(Some(*image_tokens)),
             context: Some(*context),
             adapter: adapter.as_ref().map(ToString::to_string),
             memory: formats

@@ -39,9 +39,13 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
     fact("license", row.license.clone());
     fact("weights", row.size());
     let image = row.image_size.zip(row.image_tokens);
+    // A model whose shape is known and that draws nothing reads text alone.
+    let text_alone = row.context.map(|_| "none: it reads text alone".to_owned());
     fact(
         "image",
-        image.map(|(side, tokens)| format!("{side} pixels, {tokens} tokens of the drawn BEV map")),
+        image
+            .map(|(side, tokens)| format!("{side} pixels, {tokens} tokens of the drawn BEV map"))
+            .or(text_alone),
     );
     fact(
         "context",

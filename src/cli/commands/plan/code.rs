@@ -52,6 +52,7 @@ pub(super) fn run(
     let Some(attempt) = call.attempts.first() else {
         bail!("the code cannot be judged: {}", decision_words(call))
     };
+    // A person wrote the code: what is wrong with it is an error, and no reason to rethink.
     if !attempt.errors.is_empty() {
         bail!("{}", in_words(line, &attempt.errors));
     }

@@ -42,8 +42,9 @@ pub(crate) fn run(
     if let Some(file) = &flags.image {
         check_output(file.beside("model").path())?;
     }
-    let loaded = load_model(config, &listener(printer))?;
-    let parts = loaded.agent_parts(config);
+    let listener = listener(printer);
+    let loaded = load_model(config, &listener)?;
+    let parts = loaded.agent_parts(config, &listener)?;
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
     agent.initialize(&PlannerInitialization {
         map: &scenario.map,

@@ -28,6 +28,7 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
     for kind in kinds {
         for seed in *from..=last {
             let spec = Spec::new(kind, seed).with_traffic_seed(*traffic);
+            // A seed without a scene hides none of the others.
             match generate(&spec) {
                 Ok(scenario) => {
                     let distance: f64 = scenario

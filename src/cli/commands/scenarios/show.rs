@@ -80,6 +80,7 @@ fn contents(scenario: &Scenario, frame: &Frame, at_s: f64) -> Value {
 /// The same as text.
 fn print(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
     let map = &scenario.map;
+    // Names stand in a column of their own, so that wrapped words are not taken for them.
     let section = |name: &str, words: Vec<String>| {
         let width = usize::from(printer.width()).saturating_sub(INDENT);
         for (i, line) in fill(words, width).iter().enumerate() {

@@ -5,9 +5,11 @@
 
 mod k_quants;
 mod runs_of_32;
+mod tables;
 
 pub(super) use k_quants::{Q3K, Q4K, Q5K, Q6K};
 pub(super) use runs_of_32::{Q4_0, Q4_1, Q5_0, Q5_1, Q8_0};
+pub(super) use tables::{Iq4Nl, Iq4Xs, Mxfp4};
 
 use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};

@@ -77,6 +77,10 @@ impl Simd for Avx2 {
         low(bytes: Ints) -> Ints = both(bytes, |bytes| _mm256_and_si256(bytes, _mm256_set1_epi8(15)));
         high(bytes: Ints) -> Ints =
             both(bytes, |bytes| _mm256_and_si256(_mm256_srli_epi16::<4>(bytes), _mm256_set1_epi8(15)));
+        lookup(numbers: Ints, table: &[u8; 16]) -> Ints = both(numbers, |numbers| {
+            let table = _mm256_broadcastsi128_si256(_mm_loadu_si128(table.as_ptr().cast()));
+            _mm256_shuffle_epi8(table, numbers)
+        });
         ints(value: i32) -> Ints = [_mm256_set1_epi32(value); 2];
         // Two products of a weight below 128 and a signed byte fit in 16 bits.
         dot(sum: Ints, weights: Ints, activations: i32) -> Ints = both_of_three(sum, weights, weights, |sum, weights, _| {

@@ -50,6 +50,8 @@ impl Simd for Avx512 {
         store_bytes(bytes: __m512i, line: &mut CacheLine) = _mm512_store_si512(line.0.as_mut_ptr().cast(), bytes);
         low(bytes: __m512i) -> __m512i = _mm512_and_si512(bytes, _mm512_set1_epi8(15));
         high(bytes: __m512i) -> __m512i = _mm512_and_si512(_mm512_srli_epi16::<4>(bytes), _mm512_set1_epi8(15));
+        lookup(numbers: __m512i, table: &[u8; 16]) -> __m512i =
+            _mm512_shuffle_epi8(_mm512_broadcast_i32x4(_mm_loadu_si128(table.as_ptr().cast())), numbers);
         ints(value: i32) -> __m512i = _mm512_set1_epi32(value);
         dot(sum: __m512i, weights: __m512i, activations: i32) -> __m512i =
             _mm512_dpbusd_epi32(sum, weights, _mm512_set1_epi32(activations));

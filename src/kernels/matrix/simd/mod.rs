@@ -58,6 +58,8 @@ pub trait Simd: Copy + Send + Sync {
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
     fn high(self, bytes: Self::Bytes) -> Self::Bytes;
+    /// The bytes of a table that four-bit numbers choose.
+    fn lookup(self, numbers: Self::Bytes, table: &[u8; 16]) -> Self::Bytes;
     /// Adds bits to numbers: those of `high`, moved so that bit FROM comes to bit 4, as far as MASK
     /// has them. FROM is at most 8; MASK names only bits that come from the same byte.
     fn with_high_bits<const FROM: u32, const MASK: u8>(

@@ -189,6 +189,8 @@ impl Simd for Neon {
         bytes(line: &CacheLine) -> Bytes = each(registers(line), |start| vld1q_u8(start));
         low(bytes: Bytes) -> Bytes = each(bytes, |bytes| vandq_u8(bytes, vdupq_n_u8(15)));
         high(bytes: Bytes) -> Bytes = each(bytes, |bytes| vshrq_n_u8::<4>(bytes));
+        lookup(numbers: Bytes, table: &[u8; 16]) -> Bytes =
+            each(numbers, |numbers| vqtbl1q_u8(vld1q_u8(table.as_ptr()), numbers));
         ints(value: i32) -> Ints = [vdupq_n_s32(value); 4];
         // Weights below 128 are the same signed and unsigned.
         dot(sum: Ints, weights: Bytes, activations: i32) -> Ints = each_of_two(sum, weights, |sum, weights| {

@@ -62,6 +62,11 @@ impl Simd for Portable {
     }
 
     #[inline]
+    fn lookup(self, numbers: [u8; 64], table: &[u8; 16]) -> [u8; 64] {
+        numbers.map(|number| table[usize::from(number & 15)])
+    }
+
+    #[inline]
     fn with_high_bits<const FROM: u32, const MASK: u8>(
         self,
         low: [u8; 64],

@@ -39,6 +39,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
         .flat_map(|ego| step(ego.rear_axle, frame))
         .collect();
     let present = |token: TrackToken| scene.objects.iter().find(|object| object.token == token);
+    // Targets of agents begin at their own present poses.
     let (mut targets, mut seen) = (ego.clone(), vec![1u8; moment.future.len()]);
     let mut categories = vec![0u8];
     for object in tokens.iter().filter_map(|&token| present(token)) {

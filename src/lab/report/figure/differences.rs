@@ -40,6 +40,7 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
             &format!("{}{reason}", variant.name),
         );
     }
+    // All panels share the rows of names: a variant stands at one height.
     let panels = suite.challenges();
     let panel_width = (WIDTH - NAMES) / panels.len() as f64 - GAP;
     for (column, challenge) in panels.into_iter().enumerate() {

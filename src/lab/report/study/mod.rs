@@ -2,6 +2,7 @@
 //! figures.
 
 mod agreement;
+mod asked;
 mod folder;
 mod recordings;
 mod results;
@@ -9,6 +10,7 @@ mod results;
 mod tests;
 
 pub use agreement::Agreement;
+pub use asked::AskedFigures;
 pub use folder::StudyFolder;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub use results::{

@@ -2,6 +2,7 @@
 //! paper.
 
 use super::agreement::{Agreement, agreements};
+use super::asked::{AskedFigures, asks_for_figures};
 use super::recordings::{CallShares, RecordingResults, recordings};
 use crate::report::ModelFigures;
 use crate::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
@@ -126,6 +127,9 @@ pub struct VariantResults {
     /// Its planning calls, in a study of recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calls: Option<CallShares>,
+    /// Its planning calls by what they asked and gave, if the study compares this.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub asked: Option<AskedFigures>,
     /// Cost of its model, if the study compares it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
@@ -275,6 +279,7 @@ impl ResultSource<'_> {
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / completed.count() as f64),
             calls: (self.study.rows == Rows::Recordings).then(|| CallShares::from_rows(rows)),
+            asked: asks_for_figures(self.study).then(|| AskedFigures::from_rows(rows)),
             model: self
                 .study
                 .measures_models()

@@ -2,7 +2,7 @@
 
 use super::{recordings, reported};
 use crate::report::figure::AGREEMENT;
-use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
+use crate::report::{AskedFigures, ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::table::{
@@ -246,6 +246,10 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
             Column::Calls => &["calls/sim"],
             Column::Parameters => &["params", "paper"],
             Column::CallTime => &["ms/call p50", "paper ms"],
+            Column::Collisions => &["collisions"],
+            Column::Questions => &["questions/call"],
+            Column::Tokens => &["tokens/call"],
+            Column::NoPlan => &["unreadable %", "refused %"],
         };
         headers.extend(heads.iter().map(ToString::to_string));
     }
@@ -253,11 +257,30 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
         let mut cells = variant.labels.clone();
         let model = results.model.as_ref();
         let paper = model.and_then(|model| model.paper.as_ref());
+        let asked = results.asked.as_ref().filter(|_| results.run.is_some());
+        let one_digit = |value| fixed(value, 1);
         for column in &study.columns {
             match column {
                 Column::Calls => cells.push(or_dash(results.calls_per_simulation, |calls| {
                     fixed(calls, 1)
                 })),
+                Column::Collisions => {
+                    cells.push(or_dash(asked, |asked| asked.collisions.to_string()));
+                }
+                Column::Questions => {
+                    cells.push(or_dash(asked.and_then(|asked| asked.questions), one_digit))
+                }
+                Column::Tokens => {
+                    let tokens = asked.and_then(|asked| asked.tokens);
+                    cells.push(or_dash(tokens, |tokens| fixed(tokens, 0)));
+                }
+                Column::NoPlan => {
+                    let percent = |count: fn(&AskedFigures) -> usize| {
+                        let share = asked.and_then(|asked| asked.percent(count(asked)));
+                        or_dash(share, one_digit)
+                    };
+                    cells.extend([percent(|a| a.unreadable), percent(|a| a.refused)]);
+                }
                 Column::Parameters => cells.extend([
                     or_dash(model.and_then(|model| model.parameters), weights),
                     or_dash(

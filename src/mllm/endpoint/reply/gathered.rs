@@ -1,6 +1,7 @@
 //! The answer so far, from a body in one piece or from the events of a stream.
 
 use super::finish::Ending;
+use super::marks::bare;
 use super::message::Said;
 use super::thinking::{Found, after_end, answer};
 use super::usage::counts;
@@ -26,6 +27,8 @@ pub(super) struct Gathered {
     told: usize,
     /// Whether a message was seen, perhaps without text.
     chosen: bool,
+    /// Whether a tool was called.
+    called: bool,
 }
 
 impl Gathered {
@@ -126,6 +129,7 @@ impl Gathered {
         self.content.push_str(&said.text);
         self.reasoning.push_str(&said.reasoning);
         self.refusal.push_str(&said.refusal);
+        self.called |= said.called;
         self.ending = Ending::from_choice(choice).or(self.ending.take());
         if !listen.whole
             && let Found::Answer(text) = answer(&self.content)
@@ -152,6 +156,10 @@ impl Gathered {
             )));
         }
         let finish = match &self.ending {
+            // Some servers name tools at the end of every answer of a model that knows some.
+            Some(Ending::Tools(_)) if !self.called && !self.content.trim().is_empty() => {
+                FinishReason::EndOfSequence
+            }
             Some(ending) => ending.reason(&shown)?,
             // Some servers name no reason.
             None if marked && self.has_text() => FinishReason::EndOfSequence,
@@ -172,6 +180,7 @@ impl Gathered {
         if text.trim().is_empty() && (reasoned || !self.reasoning.trim().is_empty()) {
             return Err(EndpointFailure::NoAnswer(ALL_REASONING.to_owned()));
         }
+        let text = bare(text);
         // Only the whole answer: an event may end within the key.
         let content = hide(text);
         // What may have been the beginning of a mark was not passed on yet.

@@ -27,7 +27,12 @@ pub(super) struct Said {
     pub(super) text: String,
     pub(super) reasoning: String,
     pub(super) refusal: String,
+    /// Whether a tool is called.
+    pub(super) called: bool,
 }
+
+/// Members with calls of tools.
+const CALLS: [&str; 2] = ["tool_calls", "function_call"];
 
 impl Said {
     /// Reads a choice.
@@ -49,6 +54,10 @@ impl Said {
                     .find(|text| !text.is_empty())
                     .unwrap_or_default();
             }
+            said.called = CALLS
+                .iter()
+                .filter_map(|name| message.get(name))
+                .any(is_call);
             if let Some(refusal) = message.get("refusal").and_then(Value::as_str) {
                 said.refusal.push_str(refusal);
             }
@@ -92,6 +101,15 @@ impl Said {
             self.refusal
                 .push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
+    }
+}
+
+/// Whether a member holds a call: no null and no empty list.
+fn is_call(member: &Value) -> bool {
+    match member {
+        Value::Array(calls) => !calls.is_empty(),
+        Value::Object(call) => !call.is_empty(),
+        _ => false,
     }
 }
 

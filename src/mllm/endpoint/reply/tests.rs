@@ -88,6 +88,14 @@ fn a_complete_answer_is_kept_whatever_its_form() {
         ("the older interface", r#"{"choices": [{"text": "keep", "finish_reason": "stop"}]}"#.to_owned()),
         ("reasoning beside it", r#"{"choices": [{"message": {"content": "keep", "reasoning": "Hm."}}]}"#.to_owned()),
         ("reasoning inside it", r#"{"choices": [{"message": {"content": "<think>Hm.</think>\n\nkeep"}}]}"#.to_owned()),
+        (
+            "the end of a turn inside it",
+            r#"{"choices": [{"message": {"content": "keep<|im_end|>\n"}, "finish_reason": "stop"}]}"#.to_owned(),
+        ),
+        (
+            "tools that are not called",
+            r#"{"choices": [{"message": {"content": "keep", "tool_calls": []}, "finish_reason": "tool_calls"}]}"#.to_owned(),
+        ),
         ("lines of JSON", format!("{piece}\n{end}\n")),
         ("a byte order mark", "\u{feff}{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}".to_owned()),
         (
@@ -227,6 +235,13 @@ fn nonsense_and_broken_answers_are_told_apart() {
             "{invalid}: {failure:?}"
         );
     }
+    let called = r#"{"choices":[{"message":{"content":"Hm.","tool_calls":[{"id":"1"}]},"finish_reason":"tool_calls"}]}"#;
+    assert!(matches!(reply(called), Err(EndpointFailure::NoAnswer(_))));
+    let minimax =
+        r#"{"choices":null,"base_resp":{"status_code":1004,"status_msg":"token invalid"}}"#;
+    assert!(
+        matches!(reply(minimax), Err(EndpointFailure::Refused { message, .. }) if message == "token invalid")
+    );
     let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
     assert!(
         matches!(reply(refusal), Err(EndpointFailure::Withheld(text)) if text.contains("I cannot"))

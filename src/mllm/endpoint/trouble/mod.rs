@@ -7,9 +7,10 @@ use serde_json::Value;
 use std::io::Read;
 
 /// Members with the words of a failure, in the order in which they are looked for.
-const WORDS: [&str; 10] = [
+const WORDS: [&str; 11] = [
     "message",
     "msg",
+    "status_msg",
     "error",
     "detail",
     "errors",
@@ -81,6 +82,10 @@ impl Trouble {
             .filter(|e| is_said(e));
         if let Some(error) = error {
             return Some(Self::from_reply(StatusCode::OK.as_u16(), error, reply));
+        }
+        // `MiniMax` puts a failure beside the answer, which is null then.
+        if let Some(base) = reply.get("base_resp").filter(|_| choice.is_none()) {
+            return Some(Self::from_reply(StatusCode::OK.as_u16(), base, reply));
         }
         let kind = ["object", "type"]
             .iter()

@@ -9,7 +9,7 @@ use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped,
 };
-use crate::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
+use crate::gguf::{Described, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, no_tower, tokenizer};
 use crate::vision::{PixelScale, read_processor};
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -56,16 +56,17 @@ pub(crate) struct LlavaGguf {
 }
 
 impl GgufLayout for LlavaGguf {
-    fn opens(&self, _decoder: &Header, tower: &Header) -> bool {
-        tower::is_llava(tower) && tower::is_next(tower) == self.next
+    fn opens(&self, _decoder: &Header, tower: Option<&Header>) -> bool {
+        tower.is_some_and(|tower| tower::is_llava(tower) && tower::is_next(tower) == self.next)
     }
 
     fn small_files(
         &self,
         decoder: &Header,
-        tower: &Header,
+        tower: Option<&Header>,
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
+        let tower = tower.ok_or_else(|| no_tower(decoder, "its configuration"))?;
         let text = llama::text_config(decoder)?;
         let vocabulary = text["vocab_size"]
             .as_u64()
@@ -114,17 +115,17 @@ impl GgufLayout for LlavaGguf {
         NAMES.in_gguf(canonical)
     }
 
-    fn metadata(
-        &self,
-        files: &ModelFiles,
-    ) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
         let (config, pinpoints) = (self.config)(files)?;
         let scale = read_processor(files, |_, object| PixelScale::read(object))?;
         let Some(scale) = scale.mean_and_deviation() else {
             return Ok(Err("pixels that are not normalized"));
         };
-        let decoder = llama::metadata(&config.text);
+        if config.text.head_norms {
+            return Ok(Err("norms of queries and keys in a llama decoder"));
+        }
+        let decoder = llama::metadata(llama::ARCHITECTURE, &config.text);
         let tower = tower::metadata(&config, pinpoints, scale);
-        Ok(decoder.and_then(|decoder| Ok([decoder, tower?])))
+        Ok(tower.map(|tower| (llama::ARCHITECTURE, decoder, Some(tower))))
     }
 }

@@ -30,9 +30,19 @@ fn is_hexadecimal(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
+/// The folder of a repository in a cache.
+fn folder(cache: &Path, name: &HubName) -> PathBuf {
+    cache.join(format!("models--{}", name.id.replace('/', "--")))
+}
+
+/// Whether a cache has a snapshot of a repository, complete or not.
+pub(super) fn has(cache: &Path, name: &HubName) -> bool {
+    !snapshots(&folder(cache, name)).is_empty()
+}
+
 /// The snapshot of a repository that has all wanted files.
 pub(super) fn find(cache: &Path, name: &HubName, files: &HubFiles) -> Result<HubPlace, NotCached> {
-    let repository = cache.join(format!("models--{}", name.id.replace('/', "--")));
+    let repository = folder(cache, name);
     let revision = name.revision.as_deref().unwrap_or(MAIN);
     let candidates = snapshots_of(&repository, revision);
     let place = |folder: &PathBuf| match files.missing(name, folder) {
@@ -40,6 +50,7 @@ pub(super) fn find(cache: &Path, name: &HubName, files: &HubFiles) -> Result<Hub
         Some(file) => Err(file),
     };
     let mut complete = candidates.iter().filter_map(|folder| place(folder).ok());
+    // Several complete snapshots may be of any revisions: none of them is chosen.
     match (complete.next(), complete.next()) {
         (Some(one), None) => return Ok(one),
         (Some(_), Some(_)) => {
@@ -79,7 +90,7 @@ pub(super) fn find(cache: &Path, name: &HubName, files: &HubFiles) -> Result<Hub
 
 /// The files of the snapshots of a revision, whether or not they are complete.
 pub(super) fn files(cache: &Path, name: &HubName) -> Vec<String> {
-    let repository = cache.join(format!("models--{}", name.id.replace('/', "--")));
+    let repository = folder(cache, name);
     let revision = name.revision.as_deref().unwrap_or(MAIN);
     let folders = snapshots_of(&repository, revision);
     folders.iter().flat_map(|folder| listed(folder)).collect()

@@ -105,6 +105,7 @@ fn ask(
             })
             .collect())
     };
+    // A listing is a request of its own, and only names of GGUF files need it.
     let listed = if matches!(files, HubFiles::Gguf { .. }) {
         list()?
     } else {

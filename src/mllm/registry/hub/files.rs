@@ -118,6 +118,7 @@ impl HubFiles {
         let Self::Gguf { model, mmproj } = self else {
             return Err("no GGUF file is wanted".into());
         };
+        // Each error lists what may be named instead.
         let model = match model {
             GgufChoice::File(file) if repository.contains(file) => file.clone(),
             GgufChoice::File(file) => {

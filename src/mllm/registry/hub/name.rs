@@ -6,6 +6,8 @@ use std::path::Path;
 
 /// Prefixes that leave no doubt, in small letters.
 const HOSTS: [&str; 3] = ["huggingface.co", "www.huggingface.co", "hf.co"];
+/// As people copy it from a command of llama.cpp.
+const COMMANDS: [&str; 3] = ["-hf ", "-hfr ", "--hf-repo "];
 /// What is not a model, as the hub's addresses name it.
 const OTHER_KINDS: [(&str, &str); 5] = [
     ("datasets", "a dataset"),
@@ -24,7 +26,7 @@ const OF_SERVERS: [&str; 2] = ["v1", "api"];
 /// What a word names.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(in crate::registry) struct HubName {
-    /// `organization/name`.
+    /// `organization/name`, or `name` alone.
     pub id: String,
     /// Branch, tag or commit.
     pub revision: Option<String>,
@@ -35,6 +37,31 @@ pub(in crate::registry) struct HubName {
 }
 
 impl HubName {
+    /// The repository at a page: the segments of its path behind the id, and its query.
+    fn at(mut self, path: &[&str], query: &str) -> Option<Self> {
+        if let [route, revision, path @ ..] = path
+            && ROUTES.contains(route)
+        {
+            // The revision may have slashes of its own.
+            let (revision, path) = match (*revision, path) {
+                ("refs", [kind, name, path @ ..]) => (format!("refs/{kind}/{name}"), path),
+                (revision, path) => (revision.to_owned(), path),
+            };
+            let revision = revision_of(&revision)?;
+            self.revision = (revision != "main").then_some(revision);
+            self.file = file_of(&decoded(&path.join("/")));
+        } else if let Some(file) = query
+            .split('&')
+            .find_map(|pair| pair.strip_prefix("show_file_info="))
+        {
+            self.file = file_of(&decoded(file));
+        }
+        if self.file.is_some() {
+            self.quant = None;
+        }
+        Some(self)
+    }
+
     /// The word that names the same without a scheme.
     pub(in crate::registry) fn word(&self) -> String {
         let mut word = self.id.clone();
@@ -60,27 +87,15 @@ fn addressed_at(word: &str, endpoint: &str) -> Option<Result<HubName, String>> {
     if let Some(body) = word.strip_prefix("hf://") {
         return Some(of_uri(body).ok_or_else(|| wanted(word)));
     }
-    // As people copy it from a command of llama.cpp.
-    for prefix in ["-hf ", "-hfr ", "--hf-repo "] {
+    for prefix in COMMANDS {
         if let Some(body) = word.strip_prefix(prefix) {
             return Some(plain(body.trim()).ok_or_else(|| wanted(word)));
         }
     }
-    let bare = ["https://", "http://"]
-        .iter()
-        .find_map(|scheme| without_prefix(word, scheme))
-        .unwrap_or(word);
-    let path = HOSTS.iter().find_map(|host| {
-        let rest = without_prefix(bare, host)?;
-        (rest.is_empty() || rest.starts_with(['/', '?', '#'])).then_some(rest)
-    });
-    if let Some(path) = path {
+    if let Some(path) = public_path(word) {
         return Some(of_page(path).unwrap_or_else(|| Err(wanted(word))));
     }
-    let path = (endpoint != PUBLIC_HUB)
-        .then(|| without_prefix(word, endpoint))
-        .flatten()?
-        .strip_prefix('/')?;
+    let path = mirror_path(word, endpoint)?;
     let first = path
         .split(['/', '?', '#'])
         .next()
@@ -89,6 +104,62 @@ fn addressed_at(word: &str, endpoint: &str) -> Option<Result<HubName, String>> {
         return None;
     }
     of_page(path)
+}
+
+/// A repository without an organization, as the hub's first models are named (`gpt2`): alone, with
+/// what [`plain`] takes behind it, or as an address. An address may also be that of an organization,
+/// so only a cache that has the repository decides.
+pub(in crate::registry) fn without_owner(word: &str) -> Option<HubName> {
+    without_owner_at(word, &Environment::of_process().endpoint())
+}
+
+fn without_owner_at(word: &str, endpoint: &str) -> Option<HubName> {
+    let word = word.trim();
+    for prefix in COMMANDS {
+        if let Some(body) = word.strip_prefix(prefix) {
+            return of_bare_uri(body.trim());
+        }
+    }
+    if let Some(body) = word.strip_prefix("hf://") {
+        return of_bare_uri(body.strip_prefix("models/").unwrap_or(body));
+    }
+    let Some(path) = page_path(word, endpoint) else {
+        return of_bare_uri(word);
+    };
+    let (path, query) = path.split_once(['?', '#']).unwrap_or((path, ""));
+    let segments = path.split('/').filter(|part| !part.is_empty());
+    let segments: Vec<&str> = segments.skip_while(|part| *part == "models").collect();
+    let (first, rest) = segments.split_first()?;
+    let is_route = rest.first().is_none_or(|route| ROUTES.contains(route));
+    is_route
+        .then(|| of_bare_uri(first))
+        .flatten()
+        .and_then(|found| found.at(rest, query))
+}
+
+/// The path of an address of the public hub.
+fn public_path(word: &str) -> Option<&str> {
+    let bare = ["https://", "http://"]
+        .iter()
+        .find_map(|scheme| without_prefix(word, scheme))
+        .unwrap_or(word);
+    HOSTS.iter().find_map(|host| {
+        let rest = without_prefix(bare, host)?;
+        (rest.is_empty() || rest.starts_with(['/', '?', '#'])).then_some(rest)
+    })
+}
+
+/// The path of an address of a mirror.
+fn mirror_path<'a>(word: &'a str, endpoint: &str) -> Option<&'a str> {
+    (endpoint != PUBLIC_HUB)
+        .then(|| without_prefix(word, endpoint))
+        .flatten()?
+        .strip_prefix('/')
+}
+
+/// The path of an address of the hub or of a mirror.
+fn page_path<'a>(word: &'a str, endpoint: &str) -> Option<&'a str> {
+    public_path(word).or_else(|| mirror_path(word, endpoint))
 }
 
 /// `organization/name`, perhaps with `@revision`, and with `:QUANT` or `/file.gguf`.
@@ -107,8 +178,19 @@ fn of_uri(body: &str) -> Option<HubName> {
     let name_end = body[owner_end + 1..]
         .find(['@', ':', '/'])
         .map_or(body.len(), |end| owner_end + 1 + end);
-    let (id, mut rest) = body.split_at(name_end);
+    let (id, rest) = body.split_at(name_end);
     split_id(id)?;
+    with_rest(id, rest)
+}
+
+/// The form of `hf://` addresses for a repository without an organization.
+fn of_bare_uri(body: &str) -> Option<HubName> {
+    let (id, rest) = body.split_at(body.find(['@', ':', '/']).unwrap_or(body.len()));
+    is_bare(id).then(|| with_rest(id, rest)).flatten()
+}
+
+/// A repository with what follows its id: `@revision`, and `:QUANT` or `/file.gguf`.
+fn with_rest(id: &str, mut rest: &str) -> Option<HubName> {
     let mut name = HubName {
         id: id.to_owned(),
         ..HubName::default()
@@ -128,6 +210,8 @@ fn of_uri(body: &str) -> Option<HubName> {
         name.quant = (!quant.eq_ignore_ascii_case("latest")).then(|| quant.to_owned());
     } else if let Some(file) = rest.strip_prefix('/') {
         name.file = Some(file_of(file)?);
+    } else if !rest.is_empty() {
+        return None;
     }
     Some(name)
 }
@@ -162,28 +246,12 @@ fn of_page(path: &str) -> Option<Result<HubName, String>> {
     let [owner, name, rest @ ..] = segments.as_slice() else {
         return None;
     };
-    let mut found = plain(&format!("{owner}/{name}"))?;
-    if let [route, revision, path @ ..] = rest
-        && ROUTES.contains(route)
-    {
-        // The revision may have slashes of its own.
-        let (revision, path) = match (*revision, path) {
-            ("refs", [kind, name, path @ ..]) => (format!("refs/{kind}/{name}"), path),
-            (revision, path) => (revision.to_owned(), path),
-        };
-        let revision = revision_of(&revision)?;
-        found.revision = (revision != "main").then_some(revision);
-        found.file = file_of(&decoded(&path.join("/")));
-    } else if let Some(file) = query
-        .split('&')
-        .find_map(|pair| pair.strip_prefix("show_file_info="))
-    {
-        found.file = file_of(&decoded(file));
+    // A page of a repository without an organization.
+    if ROUTES.contains(name) && is_bare(owner) && !rest.is_empty() {
+        return None;
     }
-    if found.file.is_some() {
-        found.quant = None;
-    }
-    Some(Ok(found))
+    let found = plain(&format!("{owner}/{name}"))?;
+    found.at(rest, query).map(Ok)
 }
 
 fn wanted(word: &str) -> String {
@@ -253,15 +321,23 @@ pub(in crate::registry) fn is_gguf(path: &Path) -> bool {
 
 /// Splits `organization/name`.
 pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
-    let valid = |part: &str| {
-        !part.is_empty()
-            && !part.starts_with(['.', '-'])
-            && part
-                .chars()
-                .all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
-    };
     id.split_once('/')
-        .filter(|(owner, name)| valid(owner) && valid(name))
+        .filter(|(owner, name)| is_part(owner) && is_part(name))
+}
+
+/// Whether an id is one without an organization. Two hyphens would make its folder in a cache that
+/// of another id.
+pub(super) fn is_bare(id: &str) -> bool {
+    is_part(id) && !id.contains("--") && !is_gguf_word(id)
+}
+
+/// Whether a text may be an organization or the name of a repository.
+fn is_part(text: &str) -> bool {
+    !text.is_empty()
+        && !text.starts_with(['.', '-'])
+        && text
+            .chars()
+            .all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
 }
 
 #[cfg(test)]
@@ -413,6 +489,55 @@ mod tests {
         ] {
             assert_eq!(plain(word), None, "{word}");
         }
+    }
+
+    #[test]
+    fn a_repository_may_have_no_organization() {
+        for (word, expected) in [
+            ("gpt2", name("gpt2", "", "", "")),
+            ("gpt2@v1", name("gpt2", "v1", "", "")),
+            ("gpt2:Q8_0", name("gpt2", "", "", "Q8_0")),
+            ("gpt2/a-Q8_0.gguf", name("gpt2", "", "a-Q8_0.gguf", "")),
+            ("https://huggingface.co/gpt2", name("gpt2", "", "", "")),
+            ("hf.co/models/gpt2/", name("gpt2", "", "", "")),
+            (
+                "https://huggingface.co/gpt2/tree/v1",
+                name("gpt2", "v1", "", ""),
+            ),
+            (
+                "https://huggingface.co/gpt2/blob/main/a.gguf",
+                name("gpt2", "", "a.gguf", ""),
+            ),
+            ("hf://gpt2@v1", name("gpt2", "v1", "", "")),
+            ("hf://models/gpt2", name("gpt2", "", "", "")),
+            ("-hf gpt2:Q8_0", name("gpt2", "", "", "Q8_0")),
+            ("https://m.example/hf/gpt2", name("gpt2", "", "", "")),
+        ] {
+            let found = without_owner_at(word, "https://m.example/hf");
+            assert_eq!(found, Some(expected.clone()), "{word}");
+            let again = without_owner_at(&expected.word(), PUBLIC_HUB);
+            assert_eq!(again, Some(expected), "{word}");
+        }
+        for word in [
+            "",
+            "a b",
+            ".",
+            "..",
+            "-x",
+            "org/n",
+            "org--n",
+            "a.gguf",
+            "gpt2@..",
+            "gpt2/../a.gguf",
+            "https://huggingface.co/",
+            "https://huggingface.co/org/n",
+            "http://127.0.0.1:8080/v1",
+            "C:/n/a.gguf",
+        ] {
+            assert_eq!(without_owner_at(word, PUBLIC_HUB), None, "{word}");
+        }
+        let page = addressed_at("https://huggingface.co/gpt2/tree/main", PUBLIC_HUB);
+        assert!(matches!(page, Some(Err(_))), "{page:?}");
     }
 
     #[test]

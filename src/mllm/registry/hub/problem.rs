@@ -58,6 +58,7 @@ pub(super) fn in_words(error: &HFError, name: &HubName, endpoint: &str) -> Strin
         "check the connection; without one, copy the repository into the cache or name a folder";
     const NAME: &str = "check the name; a private repository needs a token in HF_TOKEN";
     let revision = name.revision.as_deref().unwrap_or(MAIN);
+    // The code of a refusal comes first: the client takes some statuses for other errors.
     match Refusal::from_error(error, revision) {
         Some(Refusal::Gated) => {
             return format!(

@@ -217,6 +217,39 @@ fn the_folder_of_a_repository_in_a_cache_is_its_snapshot() {
 }
 
 #[test]
+fn a_repository_without_an_organization_is_taken_from_the_cache() {
+    let cache = tempfile::tempdir().unwrap();
+    let snapshot = cache.path().join("models--gpt2/snapshots").join(COMMIT);
+    std::fs::create_dir_all(&snapshot).unwrap();
+    for file in FILES {
+        std::fs::write(snapshot.join(file), "{}").unwrap();
+    }
+    for is_offline in [true, false] {
+        let access = HubAccess {
+            offline: is_offline,
+            ..offline(cache.path())
+        };
+        for word in ["gpt2", "hf.co/gpt2", &format!("gpt2@{COMMIT}")] {
+            let name = access.cached_without_owner(word).unwrap();
+            let place = access.fetch(&name, &MODEL, None).unwrap();
+            assert!(place.folder.ends_with(COMMIT), "{word}");
+        }
+        assert_eq!(access.cached_without_owner("other"), None);
+        let name = access.cached_without_owner("gpt2@v2").unwrap();
+        match access.fetch(&name, &MODEL, None) {
+            Err(MllmError::NotInCache { advice, .. }) => {
+                assert!(advice.contains(&format!("gpt2@{COMMIT}")), "{advice}");
+                assert!(
+                    advice.ends_with("its organization: ORG/gpt2@v2"),
+                    "{advice}"
+                );
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
 fn a_model_and_its_tokenizer_may_lie_apart() {
     let weights = HubFiles::Model { tokenizer: false };
     let (_cache, access) = cached(&["config.json", "model.safetensors"]);

@@ -7,6 +7,7 @@
 mod awq;
 mod bits;
 mod bitsandbytes;
+mod channels_last;
 mod compressed_tensors;
 mod description;
 mod fp8;
@@ -28,6 +29,7 @@ use crate::checkpoint::safetensors_folder::{self, RawTensor};
 use crate::checkpoint::{
     FileKind, ModelFiles, RowOrder, TensorSource, WeightFile, WeightFormatPlan, Weights,
 };
+use channels_last::ChannelsLast;
 use description::{Description, MLX};
 use layer::{PackedLayer, PackedLayers};
 use planagent_kernels::matrix::WeightFormat;
@@ -124,7 +126,8 @@ pub(super) fn open(
             "{label}: {layers} layers in {format}, which holds their numbers exactly"
         ));
     }
-    add_plain(&mut weights, &files, &table, &canonical)?;
+    let is_mlx = description.method == MLX;
+    add_plain(&mut weights, &files, &table, is_mlx, &canonical)?;
     let places: Vec<_> = packed.places().collect();
     let source = weights.add_file(packed);
     for (name, place) in places {
@@ -140,6 +143,7 @@ fn add_plain(
     weights: &mut Weights,
     files: &[Arc<WeightFile>],
     table: &TensorTable,
+    is_mlx: bool,
     canonical: &impl Fn(&str) -> Option<String>,
 ) -> Result<(), MllmError> {
     let indices: Vec<usize> = files
@@ -151,11 +155,19 @@ fn add_plain(
         let Some(index) = position.and_then(|position| indices.get(position)) else {
             continue;
         };
-        let place = part.tensor.plain(part.file.path())?;
-        if let Some(canonical) = canonical(&part.tensor.name) {
-            let name = part.tensor.name.clone();
-            weights.add(canonical, *index, name, place, RowOrder::Plain)?;
-        }
+        let Some(canonical) = canonical(&part.tensor.name) else {
+            continue;
+        };
+        let kernel = ChannelsLast::find(part).filter(|_| is_mlx);
+        let (index, place) = match kernel {
+            Some(kernel) => {
+                let place = kernel.place()?;
+                (weights.add_file(kernel), place)
+            }
+            None => (*index, part.tensor.plain(part.file.path())?),
+        };
+        let name = part.tensor.name.clone();
+        weights.add(canonical, index, name, place, RowOrder::Plain)?;
     }
     Ok(())
 }

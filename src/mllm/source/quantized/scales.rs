@@ -350,7 +350,6 @@ fn in_halves(numbers: &[f32]) -> Held {
 mod tests {
     use super::*;
     use candle_core::quantized::GgmlDType;
-    use planagent_kernels::matrix::widen;
 
     fn groups(bits: u32, meaning: Meaning) -> (Scales, Vec<u8>) {
         let scales = Scales {
@@ -374,7 +373,7 @@ mod tests {
             .enumerate()
             .map(|(row, (codes, out))| scales.row_blocks(row, codes, format, out));
         let error = error.fold(0.0, f32::max);
-        (widen(format.ggml(), blocks).unwrap(), error)
+        (format.stored().widen(blocks).unwrap(), error)
     }
 
     #[test]

@@ -482,6 +482,29 @@ fn the_description_is_found_in_all_its_places() {
     read(&mlx).unwrap();
 }
 
+#[test]
+fn kernels_of_mlx_have_their_channels_last() {
+    let mut folder = samples()
+        .into_iter()
+        .find(|(name, _)| *name == "mlx 4")
+        .unwrap()
+        .1;
+    let values: Vec<f32> = (0..24).map(|value| value as f32).collect();
+    folder.add(
+        "vision_tower.patch.weight",
+        Dtype::F32,
+        &[2, 2, 2, 3],
+        floats(&values),
+    );
+    let place = folder.write();
+    let mut weights = opened(place.path(), None).unwrap();
+    let kernel = weights
+        .take("vision_tower.patch.weight", &[2, 3, 2, 2])
+        .unwrap();
+    let kernel = kernel.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    assert_eq!(kernel[..5], [0.0, 3.0, 6.0, 9.0, 1.0]);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 

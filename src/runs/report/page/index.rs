@@ -157,6 +157,7 @@ impl Index {
                 sketch: part
                     .sketch
                     .clone()
+                    // Planners share the sketch of a scenario.
                     .filter(|_| sketched.insert(row.scenario.clone())),
             };
         Self {
@@ -191,7 +192,7 @@ impl RunEntry {
             name: run.name.clone(),
             version: run.manifest.planagent.clone(),
             started: run.manifest.started.to_string(),
-            model: run.model().map(str::to_owned),
+            model: run.model(),
             planners: run.manifest.planners.clone(),
             seed: run.setting("seed"),
             thresholds: Thresholds {

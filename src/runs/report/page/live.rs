@@ -216,6 +216,7 @@ impl LivePage {
             }
         }
         index.replays = with_replay.len();
+        // Each renewal is a version of its own, so that a page mixes no two.
         let version = format!("{}-{}", self.opened, self.changes);
         let errors = self.runs.iter().flat_map(|run| run.known.values());
         let live = LiveIndex {

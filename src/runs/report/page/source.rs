@@ -88,9 +88,17 @@ impl RunSimulations {
         table.get(name)
     }
 
-    /// Name of the model, if the run has one.
-    pub(super) fn model(&self) -> Option<&str> {
-        self.manifest.model.as_ref()?.get("name")?.as_str()
+    /// Name of the model, if the run has one, and whether it reads text alone.
+    pub(super) fn model(&self) -> Option<String> {
+        let model = self.manifest.model.as_ref()?;
+        let name = model.get("name")?.as_str()?;
+        let sees = model.contains_key("image_size");
+        let remark = if sees {
+            ""
+        } else {
+            " (text alone, no BEV map)"
+        };
+        Some(format!("{name}{remark}"))
     }
 }
 

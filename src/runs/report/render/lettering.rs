@@ -10,6 +10,10 @@ static REGULAR: LazyLock<Option<Face<'static>>> =
 static BOLD: LazyLock<Option<Face<'static>>> =
     LazyLock::new(|| Face::parse(dejavu::sans::bold(), 0).ok());
 
+/// Longest text that is drawn, characters. Texts of a run may come from elsewhere, and a picture
+/// grows with them.
+const MAX_LETTERS: usize = 1_000;
+
 /// A size and weight of type.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lettering {
@@ -63,8 +67,11 @@ impl Lettering {
     }
 
     /// The text in lines of at most `width` pixels, broken between words, and inside a word only
-    /// where it is wider than a line.
+    /// where it is wider than a line. A longer text than anybody reads is cut.
     pub(super) fn wrapped(self, text: &str, width: f32) -> Vec<String> {
+        let cut = text.char_indices().nth(MAX_LETTERS).map(|(at, _)| at);
+        let shown = cut.map(|at| format!("{}…", &text[..at]));
+        let text = shown.as_deref().unwrap_or(text);
         let mut lines: Vec<String> = Vec::new();
         let mut line = String::new();
         for word in text.split_whitespace() {
@@ -160,6 +167,9 @@ mod tests {
         assert_eq!(bare(&lines.concat()), bare(text));
         let long = letters.wrapped(&"x".repeat(100), 120.0);
         assert!(long.len() > 3 && long.concat().len() == 100, "{long:?}");
+        let cut = letters.wrapped(&"ä".repeat(2_000_000), 120.0).concat();
+        assert_eq!(cut.chars().count(), MAX_LETTERS + 1);
+        assert!(cut.ends_with('…'));
     }
 
     #[test]

@@ -27,6 +27,7 @@ impl Replay {
             .iter()
             .map(|sample| sample.ego.rear_axle.position())
             .collect();
+        // The page draws both paths, so the map covers both.
         path.extend(&expert);
         let map = ReplayMap::from_map(
             &scenario.map,

@@ -2,6 +2,7 @@
 
 use crate::report::simulation_row::SimulationRow;
 use crate::report::visible::visible_line;
+use crate::worker::run::SimulationRecord;
 
 /// Further simulations of a group that its line names.
 const MAX_NAMED: usize = 3;
@@ -13,11 +14,7 @@ pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
     let mut groups: Vec<(String, Vec<(&SimulationRow, &str)>)> = Vec::new();
     for row in rows {
         let Some(error) = &row.error else { continue };
-        // The error of a file begins with its path, which names the scenario too.
-        let error = error
-            .strip_prefix(row.scenario.as_str())
-            .and_then(|rest| rest.strip_prefix(": "))
-            .unwrap_or(error);
+        let error = without_scenario(error, &row.scenario);
         let kind = kind_of(error, &row.scenario);
         match groups.iter_mut().find(|(known, _)| *known == kind) {
             Some((_, group)) => group.push((row, error)),
@@ -25,6 +22,41 @@ pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
         }
     }
     groups.iter().map(|(_, group)| line(group)).collect()
+}
+
+/// A failed simulation.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Failure {
+    /// Its scenario, planner, challenge and error.
+    pub(crate) line: String,
+    /// Equal for failures that [`failures`] groups.
+    pub(crate) kind: String,
+}
+
+impl Failure {
+    /// The failure of a simulation that failed.
+    pub(crate) fn from_record(record: &SimulationRecord) -> Option<Self> {
+        let error = record.outcome.as_ref().err()?;
+        let error = without_scenario(error, &record.scenario);
+        Some(Self {
+            line: format!(
+                "{} ({}, {}): {error}",
+                visible_line(&record.scenario),
+                record.planner,
+                record.challenge
+            ),
+            kind: kind_of(error, &record.scenario),
+        })
+    }
+}
+
+/// An error without the scenario at its beginning: the error of a file begins with its path, which
+/// names the scenario too.
+fn without_scenario<'a>(error: &'a str, scenario: &str) -> &'a str {
+    error
+        .strip_prefix(scenario)
+        .and_then(|rest| rest.strip_prefix(": "))
+        .unwrap_or(error)
 }
 
 /// An error without the name of its scenario and without numbers.

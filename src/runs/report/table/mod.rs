@@ -7,6 +7,7 @@ mod paired;
 mod simulations;
 pub mod terminal;
 
+pub(crate) use failures::Failure;
 pub use failures::failures;
 pub use paired::comparison_table;
 pub use terminal::{LineWidth, fill};

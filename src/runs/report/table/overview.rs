@@ -92,10 +92,16 @@ pub(super) fn meanings(
     let without_plan =
         is_without_plan(summary).then_some("no plan = simulations without a plan of a call");
     let steps = Some("ms/step = mean time of a step of 0.1 s");
+    let text_alone = summary
+        .model
+        .as_ref()
+        .filter(|model| model.image_size.is_none())
+        .map(|model| format!("{} = a model that reads text alone: no BEV map", model.name));
     [steps, calls, types, without_plan]
         .into_iter()
         .flatten()
         .map(str::to_owned)
+        .chain(text_alone)
         .collect()
 }
 
@@ -161,6 +167,7 @@ fn type_table(
         };
         let mut lines = vec![String::new(); lines_of_names];
         lines.extend(broken(planner, widest));
+        // Names end in the same line, however many lines they have.
         let lines = lines.split_off(lines.len() - lines_of_names);
         format!("{}\n{}", lines.join("\n"), short(challenge))
     };

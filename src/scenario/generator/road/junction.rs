@@ -208,6 +208,7 @@ impl Network {
                         conflicts: Vec::new(),
                     },
                 )?;
+                // Only connectors that go straight lie side by side.
                 let beside = movements.last().copied().filter(
                     |&(m, to, lane): &(Movement, usize, LaneId)| {
                         m.turn == Turn::Straight

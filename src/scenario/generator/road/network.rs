@@ -180,6 +180,7 @@ impl Network {
             return Ok(Vec::new());
         }
         let side = if along { -1.0 } else { 1.0 };
+        // Left and right are those of the drivers, so lines against the road are reversed.
         let edge = |lanes: usize| -> Vec<Point> {
             let line = shifted(&plan.line, side * plan.edge(along, lanes));
             if along {

@@ -102,6 +102,7 @@ impl Network {
                     passage(RANK_ON_RING),
                 )?;
             }
+            // Vehicles on the ring go first: an exit ranks as the ring, an entry below it.
             let exits = side_by_side(&from, &leaving)
                 .into_iter()
                 .map(|pair| (pair, RANK_ON_RING));

@@ -89,6 +89,7 @@ impl Track {
             let by_sign = span.map_or(UNLIMITED, limit);
             allowed.push(by_sign.min((LATERAL_ACCELERATION / bend.abs().max(1e-4)).sqrt()));
         }
+        // Backward, so that a driver slows down before a bend and not in it.
         for i in (0..last).rev() {
             let onward: f64 = allowed[i + 1];
             allowed[i] = allowed[i].min((onward * onward + 2.0 * ANTICIPATION * SPACING).sqrt());

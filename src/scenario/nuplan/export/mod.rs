@@ -17,7 +17,6 @@ mod overlap;
 mod package;
 mod placement;
 mod route;
-mod staging;
 mod stand_in;
 mod stops;
 #[cfg(test)]
@@ -38,10 +37,10 @@ use graph::Graph;
 use log::LogHeader;
 use package::LayerRows;
 use placement::Placement;
+use planagent_files::WholeFolder;
 use planagent_world::LaneMap;
 use planagent_world::geometry::{GeometryError, Point};
 use serde_json::json;
-use staging::Staging;
 use stand_in::{STAND_IN_KEY, STAND_IN_NOTE};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -132,7 +131,7 @@ pub struct Exported {
 
 /// Why scenarios cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ExportError {
     #[error("there is no scenario to export")]
     Nothing,
@@ -163,7 +162,7 @@ pub enum ExportError {
 
 /// Why a scenario does not fit nuPlan's formats.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ScenarioExportFault {
     #[error(transparent)]
     Timeline(#[from] TimelineError),
@@ -175,7 +174,7 @@ pub enum ScenarioExportFault {
 
 /// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum WriteFault {
     #[error(transparent)]
     Database(#[from] rusqlite::Error),
@@ -218,7 +217,7 @@ pub fn write_scenarios(
             fault: fault.into(),
         },
     };
-    let staging = Staging::begin(folder).map_err(io_failed)?;
+    let staging = WholeFolder::create(folder).map_err(io_failed)?;
     let mut writer = Writer {
         staging: &staging,
         folder,
@@ -262,7 +261,7 @@ pub fn write_scenarios(
     staging
         .write(
             &Path::new(MAPS).join(MAPS_INDEX),
-            &format!("{:#}\n", json!(list)),
+            format!("{:#}\n", json!(list)).as_bytes(),
         )
         .map_err(io_failed)?;
     staging.finish().map_err(io_failed)?;
@@ -280,7 +279,7 @@ struct WrittenMap {
 }
 
 struct Writer<'a> {
-    staging: &'a Staging,
+    staging: &'a WholeFolder,
     folder: &'a Path,
     location: Option<&'a str>,
     place: Placement,
@@ -405,7 +404,7 @@ impl Writer<'_> {
         write: impl FnOnce(&Path) -> rusqlite::Result<()>,
     ) -> Result<(), ExportError> {
         let path = self.folder.join(inside);
-        let staged = self.staging.path(inside).map_err(WriteFault::from);
+        let staged = self.staging.path_of(inside).map_err(WriteFault::from);
         staged
             .and_then(|staged| Ok(write(&staged)?))
             .map_err(|fault| ExportError::Write { path, fault })

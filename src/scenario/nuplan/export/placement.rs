@@ -8,7 +8,7 @@ use planagent_world::geometry::{Point, Polygon, Polyline};
 
 /// Why a shape cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ShapeError {
     #[error(transparent)]
     Projection(#[from] ProjectionError),

@@ -69,6 +69,7 @@ pub(super) fn stop_rows(map: &LaneMap, graph: &Graph) -> Vec<StopRow> {
         .iter()
         .filter(|lane| lane.is_connector() && lane.has_traffic_lights)
     {
+        // nuPlan finds a light by its stop line, so a connector with a light needs one.
         let own: Vec<i64> = fids(&lane.id).collect();
         if rows
             .iter()

@@ -39,7 +39,7 @@ pub(super) struct Timeline {
 
 /// Why a scenario cannot be part of a nuPlan log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum TimelineError {
     #[error("frame {frame} is {step_us} µs after the one before it; at least 2 µs are needed")]
     Step { frame: usize, step_us: i64 },

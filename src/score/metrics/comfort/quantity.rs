@@ -21,9 +21,9 @@ pub(crate) const YAW_WINDOW: usize = 5;
 /// Open bounds: a value must lie strictly between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bound {
-    #[allow(missing_docs)]
+    /// Lower bound, in the unit of the quantity.
     pub min: f64,
-    #[allow(missing_docs)]
+    /// Upper bound, in the unit of the quantity.
     pub max: f64,
 }
 

@@ -75,9 +75,10 @@ function refusedWords({ decision, attempts }, run) {
 }
 
 /** The score that an attempt needs, and which threshold that is. */
-function thresholdOf({ score, verdict }, simulation) {
+function thresholdOf({ code, reflection }, simulation) {
+  const { score, verdict } = reflection;
   const { keep_lane: keepLane, lane_change: laneChange, assist } = INDEX.runs[simulation.run].thresholds;
-  if (simulation.planner.startsWith("llm-assist")) return { value: assist, note: "" };
+  if (code?.assistance) return { value: assist, note: "" };
   // A plan that reached the threshold and was refused, or the reverse, was held to that of lane changes and of staying in a blocked lane.
   const passes = score >= keepLane;
   return passes === (verdict === "execute") ? { value: keepLane, note: "" } : { value: laneChange, note: " for a lane change, or to stay in a blocked lane" };

@@ -29,7 +29,7 @@ class Latency {
     fill(this.node,
       h("h4", {}, "Latency of this call", h("span", { class: "at" }, `${milliseconds(total)} ms`)),
       this.calls(place),
-      h("div", { class: "waterfall" }, waterfall(call.time, total)),
+      h("div", { class: "waterfall" }, waterfall(call, total)),
       legend(call.time.call));
   }
 
@@ -45,7 +45,7 @@ class Latency {
 }
 
 /** The rows of a call: the environment, then the rounds and the reflection of each attempt. */
-function waterfall(time, total) {
+function waterfall({ time, attempts }, total) {
   const rows = [];
   let at = 0;
   const row = (label, parts, first) => {
@@ -63,8 +63,7 @@ function waterfall(time, total) {
   time.attempts.forEach((attempt, i) => {
     attempt.rounds.forEach((round, k) => {
       const known = round.image_encode + round.prefill + round.decode + round.remote;
-      const names = ["understanding", "instruction", "code"];
-      const name = attempt.rounds.length === 3 ? names[k] : `round ${k + 1}`;
+      const name = attempts[i]?.rounds[k]?.round.replace("_", " ") ?? `round ${k + 1}`;
       row(`${i + 1} ${name}`, [["image_encode", round.image_encode], ["prefill", round.prefill], ["decode", round.decode],
         ["remote", round.remote], ["other", Math.max(0, round.total - known)]], k === 0);
     });

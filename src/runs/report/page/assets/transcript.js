@@ -6,6 +6,9 @@ const PARTS = [
   ["progress", "progress"], ["time_to_collision", "TTC"], ["comfort", "comfort"],
 ];
 
+/** What is executed behind a list of waypoints. */
+const ONWARD = "Behind the last waypoint the ego keeps its speed along its lane.";
+
 class Transcript {
   /** Calls `onmark(attempt | null)` when the pointer enters or leaves an attempt, `onseek(call)` to show another call. */
   constructor(node, { onmark, onseek }) {
@@ -70,9 +73,10 @@ class Transcript {
     return h("div", { class: "seen" }, picture, h("div", { class: "scene-texts" }, text, showKey(this.replay.key)));
   }
 
-  showVerdict(reflection) {
+  showVerdict(attempt) {
+    const { reflection } = attempt;
     if (!reflection) return h("span", { class: "verdict" }, "no reflection");
-    const { value, note } = thresholdOf(reflection, this.replay.simulation);
+    const { value, note } = thresholdOf(attempt, this.replay.simulation);
     const passes = reflection.verdict === "execute";
     return h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, fixed(reflection.score, 2)),
       value === null ? null : ` ${passes ? "≥" : "<"} ${value}${note}`, h("em", {}, passes ? "accepted" : "refused"));
@@ -87,9 +91,10 @@ class Transcript {
     const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
     const attributes = { class: `attempt ${state}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
-      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(reflection)),
+      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(attempt)),
       repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
-      repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
+      repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no plan was read"),
+      code?.waypoints ? h("p", { class: "quiet" }, ONWARD) : null,
       reflection && !repeat ? partsTable(reflection.parts) : null,
       attempt.proposals?.length ? proposalsTable(attempt.proposals) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
@@ -136,7 +141,14 @@ function partsTable(parts) {
 
 function showRound(round) {
   const prompt = h("details", {}, h("summary", {}, "prompt"), h("pre", {}, round.prompt));
-  return h("li", {}, h("div", { class: "round-head" }, h("span", { class: "round-name" }, round.round), prompt), h("p", { class: "answer" }, round.answer));
+  return h("li", {}, h("div", { class: "round-head" }, h("span", { class: "round-name" }, round.round.replace("_", " ")), prompt), h("p", { class: "answer" }, round.answer), showTool(round.tool));
+}
+
+/** The tool that a round called, and what it gave. */
+function showTool(tool) {
+  if (!tool) return null;
+  return h("details", { class: tool.failed ? "tool failed" : "tool", open: tool.failed },
+    h("summary", {}, h("code", {}, `${tool.function} ${tool.arguments}`), tool.failed ? " was refused" : null), h("pre", {}, tool.result));
 }
 
 function openPicture(source) {

@@ -1,0 +1,76 @@
+//! `planagent memory`.
+
+use crate::args::{FillArguments, MemoryAgent, MemoryCommand};
+use crate::progress::listener;
+use crate::{Exit, Printer};
+use anyhow::{Context, bail};
+use planagent_lab::memory::{Filled, Training, fill_decisions, fill_experiences};
+use planagent_runs::report::check_writable;
+use planagent_runs::runner::{Config, load_model};
+use serde::Serialize;
+
+/// Most scenarios of a memory: those of a seed.
+const MAX_SCENARIOS: usize = 100_000;
+
+/// Runs a subcommand.
+pub(crate) fn run(
+    command: &MemoryCommand,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    let MemoryCommand::Fill(flags) = command;
+    if flags.scenarios == 0 || flags.scenarios > MAX_SCENARIOS {
+        bail!(
+            "--scenarios is {}; it must be 1 to {MAX_SCENARIOS}",
+            flags.scenarios
+        );
+    }
+    if flags.out.is_dir() {
+        bail!("--out {} is a folder; name a file", flags.out.display());
+    }
+    if let Some(folder) = flags.out.parent().filter(|folder| folder.is_dir()) {
+        check_writable(folder)?;
+    }
+    let training = Training {
+        seed: config.seed,
+        scenarios: flags.scenarios,
+    };
+    match flags.agent {
+        MemoryAgent::AgentDriver => write(flags, &fill_experiences(training), printer),
+        MemoryAgent::Dilu => {
+            let loaded = load_model(config, &listener(printer))?;
+            let bar = printer.progress(flags.scenarios as u64, "drives");
+            let parts = loaded.agent_parts(config, &listener(printer))?;
+            let filled = fill_decisions(training, &parts, &|| bar.inc(1))?;
+            bar.finish_and_clear();
+            write(flags, &filled, printer)
+        }
+    }
+}
+
+fn write<T: Serialize>(
+    flags: &FillArguments,
+    filled: &Filled<T>,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    for note in &filled.notes {
+        printer.note(format!("nothing is kept of {note}"));
+    }
+    let count = filled.memory.items.len();
+    if count == 0 {
+        bail!(
+            "no scenario left anything to remember; {} is not written",
+            flags.out.display()
+        );
+    }
+    let mut text = serde_json::to_string_pretty(&filled.memory)?;
+    text.push('\n');
+    planagent_files::write_within(&flags.out, text.as_bytes())
+        .with_context(|| format!("cannot write {}", flags.out.display()))?;
+    if printer.is_json() {
+        printer.json(&serde_json::json!({"file": flags.out, "items": count}))?;
+    } else {
+        printer.note(format!("{}: {count} items", flags.out.display()));
+    }
+    Ok(Exit::Success)
+}

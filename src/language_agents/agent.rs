@@ -1,0 +1,101 @@
+//! The four parts of a language agent: an observation, a prompt set, a grammar for its answer, and a
+//! way to turn the answer into a trajectory.
+
+use crate::chat::Chat;
+use planagent_agent::environment::GraphedScene;
+use planagent_agent::planner::{PlannerError, PlannerInput, Unreadable};
+use planagent_agent::reasoning::{ParseError, PlannerAnswer, ReasoningError};
+use planagent_world::Trajectory;
+
+/// A language agent. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a planner.
+pub(crate) trait LanguageAgent: Send {
+    /// What the model is told about the scene, and what else its answer is read with.
+    type Observation<'a>;
+    /// What the model answers.
+    type Answer: Copy + Into<PlannerAnswer> + Send + 'static;
+
+    /// Time between planning calls, seconds.
+    fn interval_s(&self) -> f64;
+
+    /// Forgets the simulation so far.
+    fn reset(&mut self);
+
+    /// Looks at the scene of a planning call.
+    fn observe<'a>(&mut self, seen: GraphedScene<'a>) -> Self::Observation<'a>;
+
+    /// The observation in words, for records.
+    fn scene_text(observation: &Self::Observation<'_>) -> String;
+
+    /// Asks the model by the agent's prompts, under its grammars, and reads the answer.
+    ///
+    /// # Errors
+    /// When the model cannot be asked at all. A wrong answer is no such error.
+    fn ask(
+        &self,
+        observation: &Self::Observation<'_>,
+        chat: &mut Chat<'_>,
+    ) -> Result<Reply<Self::Answer>, ReasoningError>;
+
+    /// Makes the plan of an answer the active one, and gives its trajectory from now on.
+    ///
+    /// # Errors
+    /// When the plan has no finite states.
+    fn adopt(
+        &mut self,
+        answer: Self::Answer,
+        observation: &Self::Observation<'_>,
+        seen: GraphedScene<'_>,
+    ) -> Result<Trajectory, PlannerError>;
+
+    /// Goes on with the active plan after a planning call that gave none.
+    ///
+    /// # Errors
+    /// When the plan has no finite states.
+    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError>;
+
+    /// The trajectory of the active plan; `None` before the first.
+    ///
+    /// # Errors
+    /// When the plan has no finite states.
+    fn trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError>;
+}
+
+/// An answer as it was read.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Reply<A> {
+    /// What was read.
+    pub(crate) answer: Option<A>,
+    /// What is wrong with it.
+    pub(crate) errors: Vec<ParseError>,
+    /// Why it is no plan; `None` where it is one.
+    pub(crate) unreadable: Option<Unreadable>,
+}
+
+impl<A> Reply<A> {
+    /// An answer that is a plan.
+    pub(crate) fn plan(answer: A) -> Self {
+        Self {
+            answer: Some(answer),
+            errors: Vec::new(),
+            unreadable: None,
+        }
+    }
+
+    /// A text that is no plan.
+    pub(crate) fn wrong(error: ParseError, unreadable: Unreadable) -> Self {
+        Self {
+            answer: None,
+            errors: vec![error],
+            unreadable: Some(unreadable),
+        }
+    }
+
+    /// Nothing was answered.
+    pub(crate) fn none() -> Self {
+        Self {
+            answer: None,
+            errors: Vec::new(),
+            unreadable: Some(Unreadable::NoAttempt),
+        }
+    }
+}

@@ -1,0 +1,332 @@
+//! Agent-Driver (Mao et al. 2024): a model as an agent with tools, memories and reasoning. It asks for
+//! the facts that it wants, picks an experience, thinks, and writes six waypoints, which are checked
+//! for collisions and moved by a solver.
+//!
+//! What differs from the original stands in docs/agents.md.
+
+mod check;
+mod experience;
+mod fill;
+mod tools;
+
+pub use fill::experience;
+
+use crate::agent::{LanguageAgent, Reply};
+use crate::chat::{Asked, Chat};
+use crate::gpt_driver::{action, thoughts};
+use crate::memory::{ExperienceItem, Memory};
+use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, waypoint_grammar};
+use check::checked;
+use experience::{CANDIDATES, nearest};
+use minijinja::context;
+use planagent_agent::environment::GraphedScene;
+use planagent_agent::environment::coordinates::EgoFacts;
+use planagent_agent::planner::{AgentDriverSettings, PlannerError, PlannerInput};
+use planagent_agent::reasoning::{
+    ParseError, PromptError, QuestionPrompts, ReasoningError, RoundName, ToolUse, WaypointList,
+};
+use planagent_mllm::Constraint;
+use planagent_world::Trajectory;
+use std::sync::Arc;
+use tools::{Facts, Group, call_grammar};
+
+/// Name of the planner, and of the folder of its prompts.
+pub(crate) const NAME: &str = "agent-driver";
+const PROMPTS: &str = "agent_driver";
+macro_rules! texts {
+    ($($name:literal),*) => {
+        [$(($name, include_str!(concat!("../../../prompts/agent_driver/", $name)))),*]
+    };
+}
+const TEXTS: [(&str, &str); 9] = texts![
+    "perception_system.jinja",
+    "need.jinja",
+    "tools.jinja",
+    "experience_system.jinja",
+    "experience.jinja",
+    "thoughts_system.jinja",
+    "thoughts.jinja",
+    "planning_system.jinja",
+    "planning.jinja"
+];
+/// Maximum tokens of YES or NO, and of the number of an experience.
+const WORD_TOKENS: usize = 8;
+/// Maximum tokens of a call of a tool.
+const CALL_TOKENS: usize = 64;
+/// Objects that thoughts may name under the grammar, the nearest.
+const NAMED_OBJECTS: usize = 12;
+/// The name of the last stage in records.
+const CHECK: &str = "collision_check";
+
+/// The prompts of this agent.
+pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+    QuestionPrompts::open(PROMPTS, &TEXTS)
+}
+
+/// The motion block of a scene, and what a tool of each kind tells.
+pub fn agent_driver_text(GraphedScene { scene, graph }: GraphedScene<'_>) -> String {
+    let facts = Facts::of(scene);
+    let told = [
+        (Group::Detection, "objects_around()"),
+        (Group::Prediction, "futures_in_area(-20, 20, -20, 20)"),
+        (Group::Occupancy, "occupied_at([(0, 10)], 2)"),
+        (Group::Map, "shoulder_here()"),
+    ]
+    .map(|(group, call)| facts.answer(group, call).result);
+    format!(
+        "{}\n{}",
+        EgoFacts::from_scene(scene, graph).text(),
+        told.join("\n")
+    )
+}
+
+/// Agent-Driver.
+pub(crate) struct AgentDriver {
+    settings: AgentDriverSettings,
+    prompts: Arc<QuestionPrompts>,
+    memory: Arc<Memory<ExperienceItem>>,
+    track: WaypointTrack,
+}
+
+impl AgentDriver {
+    pub(crate) fn new(
+        settings: AgentDriverSettings,
+        prompts: Arc<QuestionPrompts>,
+        memory: Memory<ExperienceItem>,
+    ) -> Self {
+        Self {
+            settings,
+            prompts,
+            memory: Arc::new(memory),
+            track: WaypointTrack::default(),
+        }
+    }
+
+    /// Asks for the facts of each kind: whether they are needed, and then which.
+    fn perceive(
+        &self,
+        observation: &Observation<'_>,
+        chat: &mut Chat<'_>,
+    ) -> Result<Vec<String>, ReasoningError> {
+        let ego = &observation.text;
+        chat.open(
+            self.prompts
+                .render("perception_system", context! { ego => ego })?,
+        )?;
+        let mut found = Vec::new();
+        for group in Group::ALL {
+            let need = Asked {
+                round: RoundName::Need,
+                prompt: self
+                    .prompts
+                    .render("need", context! { group => group.name() })?,
+                constraint: any_of(["YES", "NO"]),
+                max_tokens: WORD_TOKENS,
+            };
+            let Some(answer) = chat.ask(need)? else {
+                break;
+            };
+            // As in the original, anything else is a NO.
+            if answer != "YES" {
+                continue;
+            }
+            let lines: Vec<String> = group.tools().map(tools::Tool::line).collect();
+            let call = Asked {
+                round: RoundName::Tool,
+                prompt: self.prompts.render("tools", context! { tools => lines })?,
+                constraint: call_grammar(group, &observation.facts),
+                max_tokens: CALL_TOKENS,
+            };
+            let Some(answer) = chat.ask(call)? else {
+                break;
+            };
+            let tool = observation.facts.answer(group, &answer);
+            found.push(format!(
+                "{} {}:\n{}",
+                group.name(),
+                tool.function,
+                tool.result
+            ));
+            chat.note_tool(tool);
+        }
+        Ok(found)
+    }
+
+    /// The experience that the model picks among the most similar ones.
+    fn recall(
+        &self,
+        observation: &Observation<'_>,
+        chat: &mut Chat<'_>,
+        errors: &mut Vec<ParseError>,
+    ) -> Result<Option<String>, ReasoningError> {
+        let candidates = nearest(&self.memory.items, &observation.ego);
+        if candidates.is_empty() {
+            return Ok(None);
+        }
+        chat.open(self.prompts.render("experience_system", context! {})?)?;
+        let texts: Vec<String> = candidates
+            .iter()
+            .map(|(_, item)| item.text.clone())
+            .collect();
+        let numbers: Vec<String> = (1..=candidates.len()).map(|n| n.to_string()).collect();
+        let asked = Asked {
+            round: RoundName::Experience,
+            prompt: self.prompts.render(
+                "experience",
+                context! { ego => &observation.text, candidates => texts },
+            )?,
+            constraint: any_of(numbers),
+            max_tokens: WORD_TOKENS,
+        };
+        let Some(answer) = chat.ask(asked)? else {
+            return Ok(None);
+        };
+        let number: Option<usize> = answer.trim().parse().ok();
+        let Some((similarity, item)) = number
+            .and_then(|number| number.checked_sub(1))
+            .and_then(|place| candidates.get(place))
+        else {
+            errors.push(ParseError {
+                span: 0..answer.len(),
+                message: "this is no number of an experience; none is given".to_owned(),
+                hint: format!("write one of 1 to {}", candidates.len().min(CANDIDATES)),
+            });
+            return Ok(None);
+        };
+        Ok(Some(format!(
+            "Trajectory: {} (similarity {similarity:.2})",
+            item.list()
+        )))
+    }
+}
+
+/// What it sees. The facts of the tools hold for the instant of the call.
+pub(crate) struct Observation<'a> {
+    text: String,
+    ego: EgoFacts,
+    motion: Motion,
+    facts: Facts<'a>,
+}
+
+impl LanguageAgent for AgentDriver {
+    type Observation<'a> = Observation<'a>;
+    type Answer = WaypointList;
+
+    fn interval_s(&self) -> f64 {
+        self.settings.interval_s
+    }
+
+    fn reset(&mut self) {
+        self.track = WaypointTrack::default();
+    }
+
+    fn observe<'a>(&mut self, GraphedScene { scene, graph }: GraphedScene<'a>) -> Observation<'a> {
+        let ego = EgoFacts::from_scene(scene, graph);
+        Observation {
+            text: ego.text(),
+            ego,
+            motion: Motion::of(scene.ego),
+            facts: Facts::of(scene),
+        }
+    }
+
+    fn scene_text(observation: &Observation<'_>) -> String {
+        observation.text.clone()
+    }
+
+    fn ask(
+        &self,
+        observation: &Observation<'_>,
+        chat: &mut Chat<'_>,
+    ) -> Result<Reply<WaypointList>, ReasoningError> {
+        let mut errors = Vec::new();
+        let facts = self.perceive(observation, chat)?.join("\n\n");
+        let experience = self.recall(observation, chat, &mut errors)?;
+        let Some(thoughts) = self.think(observation, &facts, chat)? else {
+            return Ok(Reply::none());
+        };
+        let plan = Asked {
+            round: RoundName::Waypoints,
+            prompt: self.prompts.render(
+                "planning",
+                context! {
+                    ego => &observation.text,
+                    facts => facts,
+                    experience => experience,
+                    thoughts => thoughts,
+                },
+            )?,
+            constraint: Constraint::Sequence(vec![
+                text("Trajectory: "),
+                waypoint_grammar(observation.motion),
+            ]),
+            max_tokens: self.settings.max_tokens,
+        };
+        chat.open(self.prompts.render("planning_system", context! {})?)?;
+        let Some(answer) = chat.ask(plan)? else {
+            return Ok(Reply::none());
+        };
+        let mut reply = read_waypoints(&answer, observation.motion, chat);
+        reply.errors.splice(0..0, errors);
+        if let (Some(waypoints), None) = (&reply.answer, reply.unreadable) {
+            let after = checked(waypoints, &observation.facts);
+            chat.note_tool(ToolUse {
+                function: CHECK.to_owned(),
+                arguments: String::new(),
+                result: after.words(),
+                failed: false,
+            });
+        }
+        Ok(reply)
+    }
+
+    fn adopt(
+        &mut self,
+        waypoints: WaypointList,
+        observation: &Observation<'_>,
+        seen: GraphedScene<'_>,
+    ) -> Result<Trajectory, PlannerError> {
+        let after = checked(&waypoints, &observation.facts);
+        self.track.adopt(&after.waypoints, seen)
+    }
+
+    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
+        self.track.go_on(seen)
+    }
+
+    fn trajectory(&mut self, _: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError> {
+        Ok(self.track.trajectory())
+    }
+}
+
+impl AgentDriver {
+    /// Thoughts about what matters, and what to do.
+    fn think(
+        &self,
+        observation: &Observation<'_>,
+        facts: &str,
+        chat: &mut Chat<'_>,
+    ) -> Result<Option<String>, ReasoningError> {
+        chat.open(self.prompts.render("thoughts_system", context! {})?)?;
+        let names: Vec<String> = observation
+            .facts
+            .names()
+            .into_iter()
+            .take(NAMED_OBJECTS)
+            .collect();
+        chat.ask(Asked {
+            round: RoundName::Thoughts,
+            prompt: self.prompts.render(
+                "thoughts",
+                context! { ego => &observation.text, facts => facts },
+            )?,
+            constraint: Constraint::Sequence(vec![
+                text("Thoughts: "),
+                thoughts(&names),
+                text("\nPlan: "),
+                action(),
+            ]),
+            max_tokens: self.settings.max_tokens,
+        })
+    }
+}

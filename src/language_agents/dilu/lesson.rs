@@ -1,0 +1,148 @@
+//! What a drive leaves in the memory: decisions of a drive without an accident, and after an
+//! accident the corrected decision that led to it.
+
+use super::answer::{DELIMITER, grammar, read_action};
+use super::prompts;
+use crate::chat::{Asked, Chat};
+use crate::memory::DiluItem;
+use minijinja::context;
+use planagent_agent::planner::{AskedModel, PlannerError, PlanningCall};
+use planagent_agent::reasoning::{DrivingAction, PlannerAnswer, ReasoningError, RoundName};
+use planagent_mllm::Deadline;
+
+/// Of a drive without an accident, every fifth decision is remembered, from the first on.
+const EVERY: usize = 5;
+
+/// A decision of a drive.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriveCall {
+    /// Its iteration.
+    pub iteration: usize,
+    /// The scene in words.
+    pub description: String,
+    /// Reasoning and action as they were written.
+    pub answer: String,
+    /// The action.
+    pub action: DrivingAction,
+}
+
+/// A drive of DiLu.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drive {
+    /// Its decisions that were carried out.
+    pub calls: Vec<DriveCall>,
+    /// The iteration of its first collision.
+    pub collided_at: Option<usize>,
+}
+
+impl Drive {
+    /// The drive of these planning calls.
+    pub fn new(calls: &[PlanningCall], collided_at: Option<usize>) -> Self {
+        let carried_out = calls.iter().filter_map(|call| {
+            let attempt = call.accepted()?;
+            let Some(PlannerAnswer::Action(action)) = attempt.answer else {
+                return None;
+            };
+            let answer = attempt.rounds.first()?.answer.clone();
+            let description = call.scene_text.clone()?;
+            Some(DriveCall {
+                iteration: call.iteration,
+                description,
+                answer,
+                action,
+            })
+        });
+        Self {
+            calls: carried_out.collect(),
+            collided_at,
+        }
+    }
+
+    /// The last decision before the collision that did not brake: the one to learn from.
+    fn mistake(&self) -> Option<&DriveCall> {
+        let before = self.collided_at?;
+        self.calls
+            .iter()
+            .rev()
+            .filter(|call| call.iteration < before)
+            .find(|call| call.action != DrivingAction::Slower)
+    }
+}
+
+/// What a drive in a scenario of this name leaves. After an accident the model is asked for the
+/// lesson; an answer without a corrected action leaves nothing, and the text says why.
+///
+/// # Errors
+/// When the model cannot be asked at all.
+pub fn lesson_items(
+    scenario: &str,
+    drive: &Drive,
+    AskedModel {
+        model, reasoning, ..
+    }: &AskedModel,
+    max_tokens: usize,
+    seed: u64,
+) -> Result<Result<Vec<DiluItem>, String>, PlannerError> {
+    if drive.collided_at.is_none() {
+        let kept = drive.calls.iter().step_by(EVERY).map(|call| DiluItem {
+            description: call.description.clone(),
+            answer: call.answer.clone(),
+            action: call.action,
+            comment: format!("{scenario}, iteration {}: no accident", call.iteration),
+        });
+        return Ok(Ok(kept.collect()));
+    }
+    let Some(mistake) = drive.mistake() else {
+        return Ok(Err(
+            "no decision before the collision did anything but brake".to_owned(),
+        ));
+    };
+    let prompts = prompts().map_err(ReasoningError::from)?;
+    let render = |template, values| {
+        prompts
+            .render(template, values)
+            .map_err(ReasoningError::from)
+    };
+    let mut chat = Chat::new(model.as_ref(), reasoning, seed, Deadline::NONE);
+    chat.open(render("lesson_system", context! {})?)?;
+    let prompt = render(
+        "lesson",
+        context! { description => &mistake.description, answer => &mistake.answer },
+    )?;
+    let asked = Asked {
+        round: RoundName::Lesson,
+        prompt,
+        constraint: grammar(DrivingAction::ALL),
+        max_tokens,
+    };
+    let Some(text) = chat.ask(asked)? else {
+        let why = chat
+            .interruption
+            .map_or_else(String::new, |why| format!("{why:?}"));
+        return Ok(Err(format!("the lesson was interrupted: {why}")));
+    };
+    let reply = read_action(&text, DrivingAction::ALL, &chat);
+    let Some(action) = reply.answer else {
+        let errors: Vec<String> = reply.errors.iter().map(ToString::to_string).collect();
+        return Ok(Err(format!(
+            "the lesson has no action: {}",
+            errors.join("; ")
+        )));
+    };
+    let lesson = text
+        .rsplit_once(DELIMITER)
+        .map_or(text.as_str(), |(lesson, _)| lesson)
+        .trim();
+    Ok(Ok(vec![DiluItem {
+        description: mistake.description.clone(),
+        answer: format!(
+            "I made a mistake like this before. {lesson}\n{DELIMITER} {}",
+            action.id()
+        ),
+        action,
+        comment: format!(
+            "{scenario}, iteration {}: {} led to a collision",
+            mistake.iteration, mistake.action
+        ),
+    }]))
+}

@@ -1,0 +1,224 @@
+//! DiLu (Wen et al. 2024): a driver that reasons with remembered decisions. The model gets lanes and
+//! cars in words and the most similar decisions of a memory, and picks one of five actions a second,
+//! which move the set-points of a lane and speed controller.
+//!
+//! What differs from the original stands in docs/agents.md.
+
+mod answer;
+mod control;
+mod describe;
+mod lesson;
+mod recall;
+
+pub use lesson::{Drive, lesson_items};
+
+use crate::agent::{LanguageAgent, Reply};
+use crate::chat::{Asked, Chat};
+use crate::memory::{DiluItem, Memory};
+use answer::{extraction, grammar, read_action};
+pub(crate) use control::SetPoints;
+use describe::description;
+use minijinja::context;
+use planagent_agent::environment::GraphedScene;
+use planagent_agent::planner::{DiluSettings, PlannerError, PlannerInput};
+use planagent_agent::reasoning::{
+    DrivingAction, PromptError, QuestionPrompts, ReasoningError, RoundName,
+};
+use planagent_world::Trajectory;
+use recall::Recall;
+use std::sync::Arc;
+
+/// Name of the planner, and of the folder of its prompts.
+pub(crate) const NAME: &str = "dilu";
+const PROMPTS: &str = "dilu";
+const TEXTS: [(&str, &str); 5] = [
+    (
+        "system.jinja",
+        include_str!("../../../prompts/dilu/system.jinja"),
+    ),
+    (
+        "question.jinja",
+        include_str!("../../../prompts/dilu/question.jinja"),
+    ),
+    (
+        "extraction.jinja",
+        include_str!("../../../prompts/dilu/extraction.jinja"),
+    ),
+    (
+        "lesson_system.jinja",
+        include_str!("../../../prompts/dilu/lesson_system.jinja"),
+    ),
+    (
+        "lesson.jinja",
+        include_str!("../../../prompts/dilu/lesson.jinja"),
+    ),
+];
+/// Maximum tokens of the action alone.
+const ACTION_TOKENS: usize = 16;
+
+/// The prompts of this agent.
+pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+    QuestionPrompts::open(PROMPTS, &TEXTS)
+}
+
+/// The description of a scene, with the set-points of an ego that goes on as it is.
+pub fn dilu_text(seen: GraphedScene<'_>) -> String {
+    description(seen, &SetPoints::of(seen))
+}
+
+/// DiLu.
+pub(crate) struct Dilu {
+    settings: DiluSettings,
+    prompts: Arc<QuestionPrompts>,
+    recall: Arc<Recall>,
+    set_points: Option<SetPoints>,
+}
+
+impl Dilu {
+    pub(crate) fn new(
+        settings: DiluSettings,
+        prompts: Arc<QuestionPrompts>,
+        memory: &Memory<DiluItem>,
+    ) -> Self {
+        let recall = Arc::new(Recall::new(memory.items.clone()));
+        Self {
+            settings,
+            prompts,
+            recall,
+            set_points: None,
+        }
+    }
+
+    /// The set-points in a scene, before an action.
+    pub(crate) fn set_points_in(&self, seen: GraphedScene<'_>) -> SetPoints {
+        match self.set_points {
+            Some(set) => set.tracked(seen.scene),
+            None => SetPoints::of(seen),
+        }
+    }
+}
+
+/// What it sees.
+pub(crate) struct Observation {
+    /// Lanes, cars, lights and route in words: the key of the memory.
+    pub(crate) description: String,
+    /// The actions that can be taken.
+    pub(crate) offered: Vec<DrivingAction>,
+    /// The set-points before the action.
+    before: SetPoints,
+}
+
+impl Observation {
+    /// The actions in words.
+    fn actions(&self) -> String {
+        let line = |action: &DrivingAction| {
+            let words = match action {
+                DrivingAction::Left => "aim for the next lane to the left",
+                DrivingAction::Idle => "keep the set lane and the set speed",
+                DrivingAction::Right => "aim for the next lane to the right",
+                DrivingAction::Faster => "raise the set speed",
+                DrivingAction::Slower => "lower the set speed",
+            };
+            format!("{}: {words}", action.id())
+        };
+        self.offered.iter().map(line).collect::<Vec<_>>().join("\n")
+    }
+}
+
+impl LanguageAgent for Dilu {
+    type Observation<'a> = Observation;
+    type Answer = DrivingAction;
+
+    fn interval_s(&self) -> f64 {
+        self.settings.interval_s
+    }
+
+    fn reset(&mut self) {
+        self.set_points = None;
+    }
+
+    fn observe<'a>(&mut self, seen: GraphedScene<'a>) -> Observation {
+        let before = self.set_points_in(seen);
+        self.set_points = Some(before);
+        Observation {
+            description: description(seen, &before),
+            offered: before.offered(seen.scene),
+            before,
+        }
+    }
+
+    fn scene_text(observation: &Observation) -> String {
+        observation.description.clone()
+    }
+
+    fn ask(
+        &self,
+        observation: &Observation,
+        chat: &mut Chat<'_>,
+    ) -> Result<Reply<DrivingAction>, ReasoningError> {
+        chat.open(self.prompts.render("system", context! {})?)?;
+        let recalled = self
+            .recall
+            .nearest(&observation.description, self.settings.examples);
+        let examples: Vec<_> = recalled
+            .into_iter()
+            .map(|item| context! { description => &item.description, answer => &item.answer })
+            .collect();
+        let prompt = self.prompts.render(
+            "question",
+            context! {
+                examples => examples,
+                scene_text => &observation.description,
+                actions => observation.actions(),
+            },
+        )?;
+        let asked = Asked {
+            round: RoundName::Action,
+            prompt,
+            constraint: grammar(&observation.offered),
+            max_tokens: self.settings.max_tokens,
+        };
+        let Some(text) = chat.ask(asked)? else {
+            return Ok(Reply::none());
+        };
+        let reply = read_action(&text, &observation.offered, chat);
+        if reply.answer.is_some() {
+            return Ok(reply);
+        }
+        // As in the original, the model is asked once more which action it meant.
+        let asked = Asked {
+            round: RoundName::Extraction,
+            prompt: self.prompts.render("extraction", context! {})?,
+            constraint: extraction(&observation.offered),
+            max_tokens: ACTION_TOKENS,
+        };
+        let Some(text) = chat.ask(asked)? else {
+            return Ok(reply);
+        };
+        let mut again = read_action(&format!("####{text}"), &observation.offered, chat);
+        again.errors.splice(0..0, reply.errors);
+        Ok(again)
+    }
+
+    fn adopt(
+        &mut self,
+        action: DrivingAction,
+        observation: &Observation,
+        GraphedScene { scene, .. }: GraphedScene<'_>,
+    ) -> Result<Trajectory, PlannerError> {
+        let set = observation.before.moved(action, scene);
+        Ok(self.set_points.insert(set).trajectory(scene)?)
+    }
+
+    fn go_on(&mut self, _: GraphedScene<'_>) -> Result<(), PlannerError> {
+        Ok(())
+    }
+
+    fn trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError> {
+        let Some(set) = self.set_points else {
+            return Ok(None);
+        };
+        let set = set.tracked(&input.scene);
+        Ok(Some(self.set_points.insert(set).trajectory(&input.scene)?))
+    }
+}

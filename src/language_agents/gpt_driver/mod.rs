@@ -1,0 +1,139 @@
+//! GPT-Driver (Mao et al. 2023): motion planning as writing. The model gets objects, motion and
+//! goal in coordinates, writes a short chain of thought, and six waypoints.
+//!
+//! What differs from the original stands in docs/agents.md.
+
+mod grammar;
+
+use crate::agent::{LanguageAgent, Reply};
+use crate::chat::{Asked, Chat};
+use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
+use grammar::answer;
+pub(crate) use grammar::{action, thoughts};
+use minijinja::context;
+use planagent_agent::environment::GraphedScene;
+use planagent_agent::environment::coordinates::{GptDriverText, seen_objects};
+use planagent_agent::planner::{GptDriverSettings, PlannerError, PlannerInput};
+use planagent_agent::reasoning::{
+    PromptError, QuestionPrompts, ReasoningError, RoundName, WaypointList,
+};
+use planagent_world::Trajectory;
+use std::sync::Arc;
+
+/// Name of the planner, and of the folder of its prompts.
+pub(crate) const NAME: &str = "gpt-driver";
+const PROMPTS: &str = "gpt_driver";
+const TEXTS: [(&str, &str); 2] = [
+    (
+        "system.jinja",
+        include_str!("../../../prompts/gpt_driver/system.jinja"),
+    ),
+    (
+        "question.jinja",
+        include_str!("../../../prompts/gpt_driver/question.jinja"),
+    ),
+];
+/// Objects of a scene that a chain of thought may name, the nearest.
+const NAMED_OBJECTS: usize = 12;
+
+/// The prompts of this agent.
+pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+    QuestionPrompts::open(PROMPTS, &TEXTS)
+}
+
+/// GPT-Driver.
+pub(crate) struct GptDriver {
+    settings: GptDriverSettings,
+    prompts: Arc<QuestionPrompts>,
+    track: WaypointTrack,
+}
+
+impl GptDriver {
+    pub(crate) fn new(settings: GptDriverSettings, prompts: Arc<QuestionPrompts>) -> Self {
+        Self {
+            settings,
+            prompts,
+            track: WaypointTrack::default(),
+        }
+    }
+}
+
+/// What it sees.
+pub(crate) struct Observation {
+    text: GptDriverText,
+    motion: Motion,
+    /// Objects with their places, as the text has them; the nearest first.
+    objects: Vec<String>,
+}
+
+impl LanguageAgent for GptDriver {
+    type Observation<'a> = Observation;
+    type Answer = WaypointList;
+
+    fn interval_s(&self) -> f64 {
+        self.settings.interval_s
+    }
+
+    fn reset(&mut self) {
+        self.track = WaypointTrack::default();
+    }
+
+    fn observe<'a>(&mut self, GraphedScene { scene, graph }: GraphedScene<'a>) -> Observation {
+        let mut objects: Vec<_> = seen_objects(scene)
+            .map(|(object, [(right, ahead), ..])| {
+                let name = format!("{} at ({right:.2},{ahead:.2})", object.kind);
+                (right.hypot(ahead), name)
+            })
+            .collect();
+        objects.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let nearest = objects.into_iter().take(NAMED_OBJECTS);
+        Observation {
+            text: GptDriverText::from_scene(scene, graph),
+            motion: Motion::of(scene.ego),
+            objects: nearest.map(|(_, name)| name).collect(),
+        }
+    }
+
+    fn scene_text(observation: &Observation) -> String {
+        observation.text.whole()
+    }
+
+    fn ask(
+        &self,
+        observation: &Observation,
+        chat: &mut Chat<'_>,
+    ) -> Result<Reply<WaypointList>, ReasoningError> {
+        chat.open(self.prompts.render("system", context! {})?)?;
+        let prompt = self.prompts.render(
+            "question",
+            context! { scene_text => Self::scene_text(observation) },
+        )?;
+        let asked = Asked {
+            round: RoundName::Waypoints,
+            prompt,
+            constraint: answer(&observation.objects, observation.motion),
+            max_tokens: self.settings.max_tokens,
+        };
+        Ok(match chat.ask(asked)? {
+            Some(text) => read_waypoints(&text, observation.motion, chat),
+            None => Reply::none(),
+        })
+    }
+
+    fn adopt(
+        &mut self,
+        waypoints: WaypointList,
+        _: &Observation,
+        seen: GraphedScene<'_>,
+    ) -> Result<Trajectory, PlannerError> {
+        self.track.adopt(&waypoints, seen)
+    }
+
+    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
+        self.track.go_on(seen)
+    }
+
+    fn trajectory(&mut self, _: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError> {
+        Ok(self.track.trajectory())
+    }
+}

@@ -1,0 +1,29 @@
+//! The other language agents of the paper's comparison: GPT-Driver, DiLu and Agent-Driver, ported to
+//! nuPlan's closed loop with our own prompts.
+//!
+//! An agent is an observation, a prompt set, a grammar for its answer, and a way to turn the answer
+//! into a trajectory: [`agent::LanguageAgent`]. [`planner::LanguagePlanner`] makes it a planner.
+//! What each port changes stands in docs/agents.md.
+
+mod agent;
+mod agent_driver;
+mod chat;
+mod dilu;
+mod entry;
+mod gpt_driver;
+mod memory;
+mod oracle;
+mod planner;
+mod waypoints;
+
+pub use agent_driver::{agent_driver_text, experience};
+pub use dilu::{Drive, dilu_text, lesson_items};
+pub use entry::entries;
+pub use memory::{DiluItem, ExperienceItem, Memory, MemoryError};
+
+#[cfg(test)]
+mod agent_driver_tests;
+#[cfg(test)]
+mod dilu_tests;
+#[cfg(test)]
+mod tests;

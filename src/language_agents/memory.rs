@@ -1,0 +1,177 @@
+//! Memories of agents: files that a command fills and that no simulation changes.
+
+use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Form of the files.
+const FORMAT: u32 = 1;
+/// Largest file that is read, bytes.
+const MAX_BYTES: u64 = 64 << 20;
+/// Most items of a memory.
+const MAX_ITEMS: usize = 100_000;
+
+/// A memory of one agent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Memory<T> {
+    /// Form of the file.
+    pub format: u32,
+    /// Name of the agent.
+    pub agent: String,
+    /// What was driven to fill it, in words.
+    pub source: String,
+    /// The items, in the order of the scenarios.
+    pub items: Vec<T>,
+}
+
+/// A remembered decision of DiLu.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DiluItem {
+    /// The scene in words.
+    pub description: String,
+    /// Reasoning and action, as the model is to write them.
+    pub answer: String,
+    /// The action.
+    pub action: DrivingAction,
+    /// Where it comes from, and whether it corrects a mistake.
+    pub comment: String,
+}
+
+/// A remembered motion of Agent-Driver, with what followed; x is to the right, y ahead.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperienceItem {
+    /// Motion, past and goal in words.
+    pub text: String,
+    /// The numbers of the motion, in the order of the words.
+    pub motion: [f64; 9],
+    /// The goal.
+    pub goal: String,
+    /// The places in the last two seconds, the oldest first, meters.
+    pub past: [[f64; 2]; 4],
+    /// The places in the next three seconds, meters.
+    pub future: [[f64; 2]; 6],
+    /// The scenario.
+    pub source: String,
+}
+
+impl ExperienceItem {
+    /// What followed, as a list of waypoints.
+    pub(crate) fn list(&self) -> WaypointList {
+        let places = self.future.map(|[right, ahead]| SeenPlace { right, ahead });
+        WaypointList(places)
+    }
+}
+
+/// Why a memory cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum MemoryError {
+    #[error("cannot read the memory {}: {source}", path.display())]
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("in the memory {}: {source}", path.display())]
+    Parse {
+        path: PathBuf,
+        source: serde_json::Error,
+    },
+    #[error(
+        "the memory {} is of form {format} for {agent}, and this is form {FORMAT} for {expected}; fill one with \
+         planagent memory fill", path.display()
+    )]
+    Other {
+        path: PathBuf,
+        format: u32,
+        agent: String,
+        expected: &'static str,
+    },
+    #[error("the memory {} has {count} items, and {MAX_ITEMS} are the limit", path.display())]
+    TooLarge { path: PathBuf, count: usize },
+}
+
+/// BLAKE3 of a file, hexadecimal; `None` where it cannot be read.
+pub(crate) fn digest(file: &str) -> Option<String> {
+    let mut hasher = blake3::Hasher::new();
+    let file = planagent_files::open(Path::new(file)).ok()?;
+    hasher.update_reader(file).ok()?;
+    Some(hasher.finalize().to_hex().to_string())
+}
+
+impl<T> Memory<T> {
+    /// A memory of an agent.
+    pub fn of(agent: &str, source: String, items: Vec<T>) -> Self {
+        Self {
+            format: FORMAT,
+            agent: agent.to_owned(),
+            source,
+            items,
+        }
+    }
+}
+
+impl<T: DeserializeOwned> Memory<T> {
+    /// Reads the memory of an agent; an agent without a file has none.
+    pub(crate) fn open(file: Option<&str>, agent: &'static str) -> Result<Self, MemoryError> {
+        let Some(file) = file else {
+            return Ok(Self::of(agent, String::new(), Vec::new()));
+        };
+        let path = Path::new(file).to_owned();
+        let text = match planagent_files::read_text(&path, MAX_BYTES) {
+            Ok(text) => text,
+            Err(source) => return Err(MemoryError::Read { path, source }),
+        };
+        let memory: Self = match serde_json::from_str(&text) {
+            Ok(memory) => memory,
+            Err(source) => return Err(MemoryError::Parse { path, source }),
+        };
+        if memory.format != FORMAT || memory.agent != agent {
+            return Err(MemoryError::Other {
+                path,
+                format: memory.format,
+                agent: memory.agent,
+                expected: agent,
+            });
+        }
+        if memory.items.len() > MAX_ITEMS {
+            let count = memory.items.len();
+            return Err(MemoryError::TooLarge { path, count });
+        }
+        Ok(memory)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_memory_is_read_as_it_was_written_and_another_agents_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let item = DiluItem {
+            description: "a road".to_owned(),
+            answer: "It is free.\n#### 3".to_owned(),
+            action: DrivingAction::Faster,
+            comment: "one".to_owned(),
+        };
+        let memory = Memory::of("dilu", "two scenes".to_owned(), vec![item]);
+        let file = folder.path().join("memory.json");
+        let name = file.to_str().unwrap();
+        let write = |text: &str| std::fs::write(&file, text).unwrap();
+        write(&serde_json::to_string(&memory).unwrap());
+        assert_eq!(Memory::open(Some(name), "dilu").unwrap(), memory);
+        let error = Memory::<DiluItem>::open(Some(name), "agent-driver").unwrap_err();
+        assert!(error.to_string().contains("for dilu"), "{error}");
+        write("{\"format\": 1, \"agent\": \"dilu\"");
+        let error = Memory::<DiluItem>::open(Some(name), "dilu").unwrap_err();
+        assert!(error.to_string().contains("line 1"), "{error}");
+        let missing = folder.path().join("nothing.json");
+        let error = Memory::<DiluItem>::open(missing.to_str(), "dilu").unwrap_err();
+        assert!(error.to_string().contains("nothing.json"), "{error}");
+        assert_eq!(Memory::<DiluItem>::open(None, "dilu").unwrap().items, []);
+    }
+}

@@ -1,0 +1,282 @@
+//! Parity with numbers that are not part of the project: tiny language models as folders and as
+//! llama.cpp's files, and two real models. CONTRIBUTING.md says where the data and the weights are
+//! from, and `.ci/run long` runs these tests.
+
+use super::test_reference::{
+    Reference, assert_greedy, assert_logits, difference, fixture, greedy, logits_in_pieces,
+};
+use super::{Loading, LocalModel, Sequence};
+use crate::checkpoint::read_json;
+use crate::source::ModelPlace;
+use candle_core::Tensor;
+use planagent_kernels::matrix::WeightFormat;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// The data folder: `$PLANAGENT_DATA`, else `../shared/data`.
+fn data() -> PathBuf {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from)
+}
+
+#[test]
+#[ignore = "needs mllm_reference/text in $PLANAGENT_DATA"]
+fn tiny_language_models_are_those_of_transformers_as_folders_and_gguf() {
+    for family in ["llama", "qwen2", "qwen3", "gemma3_text"] {
+        let folder = data().join("mllm_reference/text").join(family);
+        let reference = Reference::open(&folder.join("reference.safetensors"));
+        let prompts = read_json(&folder.join("prompts.json")).unwrap();
+        for place in [folder.clone(), folder.join("gguf")] {
+            let local = LocalModel::open("tiny", &place).unwrap();
+            let model = &*local.model;
+            assert_eq!(model.info().architecture, family);
+            for run in ["", "chat_", "long_"] {
+                let ids = reference.ids(&format!("{run}input_ids"), 0);
+                let text = prompts["runs"][run]["text"].as_str().unwrap();
+                let read = local.tokenizer.encode_text(text).unwrap();
+                assert_eq!(read, ids, "{family}, '{run}'");
+                let expected = reference.tensor(&format!("{run}logits"));
+                let worst = assert_logits(model, &ids, None, expected);
+                let tokens = reference.ids(&format!("{run}generated"), 0);
+                assert_greedy(model, &ids, None, &tokens);
+                println!("{} '{run}': logits {worst:.1e}", place.display());
+            }
+        }
+    }
+}
+
+/// A real model, and how far its numbers may be from the reference's.
+struct Real {
+    /// Its name in the reference, and its file.
+    name: &'static str,
+    file: &'static str,
+    /// Of logits in exact arithmetic.
+    tolerance: f64,
+    /// Greedy tokens of three prompts that are decided by more than that.
+    greedy: [usize; 3],
+}
+
+const MODELS: [Real; 2] = [
+    Real {
+        name: "SmolLM2-135M-Instruct Q4_1",
+        file: "SmolLM2-135M-Instruct.Q4_1.gguf",
+        tolerance: 1e-4,
+        greedy: [32; 3],
+    },
+    Real {
+        name: "Gemma 3 270M (base) Q4_K_M",
+        file: "gemma-3-270m-q4_k_m.gguf",
+        tolerance: 1e-3,
+        greedy: [32; 3],
+    },
+];
+
+/// A chat template for a file that has none.
+const PLAIN: &str = "{% for m in messages %}{{ m.content }}{% endfor %}";
+
+/// The file of a model in a folder of its own with a chat template beside it where it has none;
+/// none if it is not in `$PLANAGENT_WEIGHTS`.
+fn file_of(real: &Real) -> Option<(tempfile::TempDir, ModelPlace)> {
+    let weights = std::env::var_os("PLANAGENT_WEIGHTS").map(PathBuf::from)?;
+    let file = weights.join(real.file);
+    if !file.is_file() {
+        println!("SKIPPED: there is no {}", file.display());
+        return None;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join(real.file);
+    std::fs::hard_link(&file, &model)
+        .or_else(|_| std::fs::copy(&file, &model).map(drop))
+        .unwrap();
+    if real.file.starts_with("gemma") {
+        std::fs::write(folder.path().join("chat_template.jinja"), PLAIN).unwrap();
+    }
+    let mmproj = None;
+    Some((folder, ModelPlace::Gguf { model, mmproj }))
+}
+
+fn load(place: &ModelPlace, quantize: Option<WeightFormat>) -> LocalModel {
+    let loading = Loading {
+        quantize,
+        ..Loading::default()
+    };
+    LocalModel::load("real", place, &loading).unwrap()
+}
+
+fn list(value: &Value) -> Vec<u32> {
+    serde_json::from_value(value.clone()).unwrap()
+}
+
+#[test]
+#[ignore = "needs the files of $PLANAGENT_WEIGHTS"]
+fn tokens_of_real_models_are_those_of_llama_cpp() {
+    let reference = read_json(&fixture("token_ids/text_model_ids.json")).unwrap();
+    let texts: Vec<String> = serde_json::from_value(reference["texts"].clone()).unwrap();
+    assert_eq!(texts.len(), 100);
+    for real in &MODELS {
+        let Some((_folder, place)) = file_of(real) else {
+            continue;
+        };
+        let local = load(&place, None);
+        let mut wrong = Vec::new();
+        for (index, text) in texts.iter().enumerate() {
+            let expected = list(&reference["ids"][real.file][index]);
+            let mut found = local.tokenizer.encode_text(text).unwrap();
+            // What a chat begins with: nothing, or the beginning of a sequence.
+            let begun = local.tokenizer.encode_chat("").unwrap();
+            found.splice(0..0, begun);
+            if found != expected {
+                wrong.push(format!("{text:?}: {found:?} instead of {expected:?}"));
+            }
+        }
+        assert!(wrong.is_empty(), "{}: {wrong:#?}", real.name);
+    }
+}
+
+/// Perplexity of the tokens after the first, by logits in f64.
+fn perplexity(logits: &[Vec<f32>], ids: &[u32]) -> f64 {
+    let losses = logits.iter().zip(&ids[1..]).map(|(row, id)| {
+        let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let sum: f64 = row
+            .iter()
+            .map(|logit| f64::from(logit - largest).exp())
+            .sum();
+        sum.ln() - f64::from(row[*id as usize] - largest)
+    });
+    (losses.sum::<f64>() / (ids.len() - 1) as f64).exp()
+}
+
+fn likeliest(logits: &[Vec<f32>]) -> Vec<u32> {
+    logits
+        .iter()
+        .map(|row| crate::sampling::most_likely(row).unwrap())
+        .collect()
+}
+
+fn logits_of(local: &LocalModel, ids: &[u32]) -> Tensor {
+    logits_in_pieces(&*local.model, ids, None, &[])
+}
+
+#[test]
+#[ignore = "needs the files of $PLANAGENT_WEIGHTS and real_weights in $PLANAGENT_DATA"]
+fn numbers_of_real_models_are_exact_in_f32_and_near_in_their_own_formats() {
+    let path = data().join("real_weights/reference.json");
+    let reference = read_json(&path).unwrap();
+    for real in &MODELS {
+        let Some((_folder, place)) = file_of(real) else {
+            continue;
+        };
+        let expected = &reference["models"][real.name];
+        let ids = list(&expected["all_ids"]);
+        let exact = load(&place, Some(WeightFormat::F32));
+        let text = reference["text"].as_str().unwrap();
+        assert_eq!(exact.tokenizer.encode_chat(text).unwrap(), ids);
+        let logits = logits_of(&exact, &ids);
+        assert_exact(real, &expected["exact"], &logits, &ids);
+        for (run, count) in expected["greedy"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(real.greedy)
+        {
+            let mut sequence = Sequence::new(&*exact.model);
+            let prompt = list(&run["prompt_ids"]);
+            let found = greedy(&*exact.model, &mut sequence, &prompt, None, count);
+            assert_eq!(found, list(&run["exact"]["tokens"])[..count], "{run}");
+        }
+        drop(exact);
+        let own = logits_of(&load(&place, None), &ids);
+        assert_near(real, expected, &logits, &own, &ids);
+    }
+}
+
+/// Checks logits in exact arithmetic.
+fn assert_exact(real: &Real, expected: &Value, logits: &Tensor, ids: &[u32]) {
+    let rows: Vec<Vec<f32>> = logits.to_vec2().unwrap();
+    let found = perplexity(&rows, ids);
+    let wanted = expected["perplexity"].as_f64().unwrap();
+    println!("{}: perplexity {found:.4}, exact {wanted}", real.name);
+    assert!((found / wanted - 1.0).abs() < 1e-4, "{found}");
+    assert_eq!(
+        likeliest(&rows),
+        list(&expected["argmax_at_each_position"]),
+        "{}",
+        real.name
+    );
+    let last = rows.last().unwrap();
+    let first_ids = expected["logits_of_ids_0_to_7_at_last_position"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .enumerate()
+        .map(|(id, logit)| (id, logit.as_f64().unwrap()));
+    let pair = |pair: &Value| {
+        (
+            pair[0].as_u64().unwrap() as usize,
+            pair[1].as_f64().unwrap(),
+        )
+    };
+    let best = expected["top10_at_last_position"].as_array().unwrap();
+    let mut worst = 0.0_f64;
+    for (id, logit) in first_ids.chain(best.iter().map(pair)) {
+        worst = worst.max((f64::from(last[id]) - logit).abs());
+    }
+    println!("{}: logits differ by {worst:.1e} at most", real.name);
+    // The reference has four digits behind the point.
+    assert!(worst < real.tolerance + 5e-5, "{}: {worst}", real.name);
+}
+
+/// Checks logits of the file as it is against the exact ones.
+fn assert_near(real: &Real, expected: &Value, exact: &Tensor, own: &Tensor, ids: &[u32]) {
+    let apart = f64::from(difference(own, exact));
+    let theirs = expected["llama_cpp"]["largest_logit_difference_to_exact"]
+        .as_f64()
+        .unwrap();
+    let rows: Vec<Vec<f32>> = own.to_vec2().unwrap();
+    let (found, wanted) = (
+        perplexity(&rows, ids),
+        expected["exact"]["perplexity"].as_f64().unwrap(),
+    );
+    let exact = likeliest(&exact.to_vec2().unwrap());
+    let same = likeliest(&rows)
+        .iter()
+        .zip(&exact)
+        .filter(|(a, b)| a == b)
+        .count();
+    println!(
+        "{}: as it is: logits differ by {apart:.3} (llama.cpp {theirs}), perplexity {found:.4}, {same} of {} alike",
+        real.name,
+        exact.len()
+    );
+    assert!(apart <= 1.2 * theirs, "{}: {apart}", real.name);
+    assert!(
+        (found / wanted - 1.0).abs() < 5e-3,
+        "{}: {found}",
+        real.name
+    );
+    assert!(
+        same as f64 >= 0.97 * exact.len() as f64,
+        "{}: {same}",
+        real.name
+    );
+}
+
+/// A window hides what lies before it: a long text of a real Gemma tells a window of 512 from one
+/// that is one wider or narrower.
+#[test]
+#[ignore = "needs the files of $PLANAGENT_WEIGHTS"]
+fn a_long_text_needs_the_window() {
+    let real = &MODELS[1];
+    let Some((_folder, place)) = file_of(real) else {
+        return;
+    };
+    let local = load(&place, None);
+    let text =
+        "The road bends to the left behind the old mill, and a cart waits there. ".repeat(40);
+    let ids = local.tokenizer.encode_chat(&text).unwrap();
+    assert!(ids.len() > 600, "{}", ids.len());
+    let rows: Vec<Vec<f32>> = logits_of(&local, &ids).to_vec2().unwrap();
+    let found = perplexity(&rows, &ids);
+    // Without a window, it is more than ten times as much on such a text.
+    assert!(found < 3.0, "{found}");
+}

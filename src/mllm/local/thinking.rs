@@ -1,0 +1,123 @@
+//! Thoughts of a model before its answer. They have a limit of their own, no grammar, and are no
+//! part of the answer.
+
+use super::generate::{End, Generated, generate};
+use super::sequence::Sequence;
+use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::sampling::Sampler;
+use crate::text::ChatTokenizer;
+use crate::{Deadline, FinishReason, MllmError};
+use std::time::Instant;
+
+/// The token that ends thoughts.
+const MARK: &str = "</think>";
+/// What stands between thoughts and answer in the chats of models that think.
+const GAP: &str = "\n\n";
+
+/// How a model thinks.
+#[derive(Debug)]
+pub(super) struct Thinking {
+    /// Most tokens of thoughts.
+    limit: usize,
+    mark: u32,
+    /// Tokens behind the mark.
+    gap: Vec<u32>,
+    /// Tokens before a mark that is put behind thoughts that reach the limit.
+    cut: Vec<u32>,
+}
+
+/// The thoughts before an answer.
+pub(super) struct Thoughts {
+    /// Their tokens, with those that end them.
+    pub(super) ids: Vec<u32>,
+    /// The tokens that the model wrote.
+    pub(super) sampled: usize,
+    /// Of the pass over the prompt, milliseconds.
+    pub(super) prefill: f64,
+    /// End of that pass, and the first token, from the start of the round, milliseconds.
+    pub(super) prefill_end: f64,
+    pub(super) first_token: f64,
+}
+
+impl Thinking {
+    /// Thoughts of at most `limit` tokens.
+    ///
+    /// # Errors
+    /// When the vocabulary has no token that ends them.
+    pub(super) fn open(limit: usize, tokenizer: &ChatTokenizer) -> Result<Self, MllmError> {
+        let mark = tokenizer.id(MARK).ok_or_else(|| MllmError::Tokenizer {
+            path: tokenizer.path().to_path_buf(),
+            problem: format!("generation.thinking: the token {MARK} is missing"),
+        })?;
+        Ok(Self {
+            limit,
+            mark,
+            gap: tokenizer.encode_text(GAP)?,
+            cut: tokenizer.encode_text("\n")?,
+        })
+    }
+
+    /// Lets a model think after `prompt`, the part of the prompt that `sequence` does not hold yet.
+    pub(super) fn think(
+        &self,
+        model: &dyn VisionLanguageModel,
+        sequence: &mut Sequence,
+        features: Option<&ImageFeatures>,
+        prompt: &[u32],
+        sampler: Sampler,
+        at: ThinkingBounds<'_>,
+    ) -> Result<Thoughts, MllmError> {
+        let ends = [&[self.mark][..], at.ends].concat();
+        let end = End {
+            tokens: &ends,
+            max_new_tokens: self.limit,
+            context: at.context,
+            deadline: at.deadline,
+        };
+        let Generated {
+            mut ids,
+            finish,
+            prefill,
+            prefill_end,
+            first_token,
+            ..
+        } = generate(
+            model,
+            sequence,
+            features,
+            prompt,
+            None,
+            sampler,
+            None,
+            None,
+            &end,
+            at.start,
+            &mut |_| {},
+        )?;
+        let sampled = ids.len();
+        if finish != FinishReason::EndOfSequence {
+            ids.extend(&self.cut);
+        }
+        ids.push(self.mark);
+        ids.extend(&self.gap);
+        Ok(Thoughts {
+            ids,
+            sampled,
+            prefill,
+            prefill_end,
+            first_token,
+        })
+    }
+}
+
+/// What bounds thoughts besides their own limit.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ThinkingBounds<'a> {
+    /// Tokens that end an answer.
+    pub(super) ends: &'a [u32],
+    /// Longest chat, tokens.
+    pub(super) context: usize,
+    pub(super) deadline: Deadline,
+    /// Start of the round.
+    pub(super) start: Instant,
+}

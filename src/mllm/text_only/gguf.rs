@@ -1,0 +1,107 @@
+//! Language models in llama.cpp's GGUF files.
+
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, ModelFiles};
+use crate::gguf::names::{
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, Names, OUTPUT, ROTARY,
+};
+use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma, llama};
+use std::collections::BTreeMap;
+
+const NAMES: Names = Names {
+    single: &[EMBEDDING, FINAL_NORM, OUTPUT, ROTARY],
+    layers: &[DECODER_LAYERS],
+};
+
+const GEMMA_NAMES: Names = Names {
+    single: &[EMBEDDING, FINAL_NORM, OUTPUT, ROTARY],
+    layers: &[GEMMA_LAYERS],
+};
+
+/// The files of a family of language models.
+pub(super) struct TextGguf {
+    /// Architectures of its decoders.
+    architectures: &'static [&'static str],
+    names: Names,
+    norms_have_one: bool,
+}
+
+impl TextGguf {
+    /// The files of decoders with the tensors of Llama.
+    pub(super) const fn of_llama(architectures: &'static [&'static str]) -> Self {
+        Self {
+            architectures,
+            names: NAMES,
+            norms_have_one: false,
+        }
+    }
+
+    /// The files of Gemma 3.
+    pub(super) const OF_GEMMA: Self = Self {
+        architectures: &[gemma::ARCHITECTURE],
+        names: GEMMA_NAMES,
+        norms_have_one: true,
+    };
+}
+
+impl GgufLayout for TextGguf {
+    fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
+        let known = |architecture| self.architectures.contains(&architecture);
+        tower.is_none() && decoder.architecture().is_ok_and(known)
+    }
+
+    fn small_files(
+        &self,
+        decoder: &Header,
+        _tower: Option<&Header>,
+        _notes: &mut Vec<String>,
+    ) -> Result<BTreeMap<String, String>, MllmError> {
+        let mut files = TextFiles::read(decoder)?;
+        let config = files.text_config.clone();
+        files.put("config.json", &config);
+        Ok(files.into_files())
+    }
+
+    fn canonical_name(&self, _file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+        Ok(self.names.to_canonical(name))
+    }
+
+    fn gguf_name(&self, canonical: &str) -> Option<String> {
+        self.names.in_gguf(canonical)
+    }
+
+    fn norms_have_one(&self) -> bool {
+        self.norms_have_one
+    }
+
+    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
+        let config = super::config(files, super::DecoderType::Llama)?;
+        Ok(described(&config))
+    }
+}
+
+fn described(config: &LlamaConfig) -> Described {
+    if config.gemma.is_some() {
+        if config.attention_bias {
+            return Err("biases of these projections");
+        }
+        let mut metadata = llama::metadata(gemma::ARCHITECTURE, config);
+        metadata.extend(gemma::metadata(config)?);
+        return Ok((gemma::ARCHITECTURE, metadata, None));
+    }
+    let architecture = architecture(config)?;
+    Ok((architecture, llama::metadata(architecture, config), None))
+}
+
+/// The architecture of a decoder in llama.cpp, or the part that none of them has a place for.
+fn architecture(config: &LlamaConfig) -> Result<&'static str, &'static str> {
+    if config.rope.sections.is_some() {
+        return Err("positions on three axes without a vision tower");
+    }
+    match (config.head_norms, config.attention_bias, config.output_bias) {
+        (true, false, false) => Ok("qwen3"),
+        (false, true, false) => Ok("qwen2"),
+        (false, false, false) => Ok("llama"),
+        _ => Err("biases of these projections"),
+    }
+}

@@ -1,0 +1,125 @@
+//! Models that read text alone: a decoder with its tokenizer and chat template, and no vision tower.
+
+mod gguf;
+mod model;
+
+#[cfg(test)]
+mod gemma_tests;
+
+use super::MllmError;
+use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles};
+use super::family::Family;
+use gguf::TextGguf;
+use model::TextModel;
+
+/// Llama and its relatives with the same tensors: `SmolLM2`, Mistral.
+pub(crate) const LLAMA: Family = Family {
+    name: "llama",
+    config_names: &["llama", "LlamaForCausalLM", "mistral", "MistralForCausalLM"],
+    canonical_name,
+    gguf: Ok(&TextGguf::of_llama(&["llama"])),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Llama),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Llama)?;
+        Ok(Box::new(TextModel::take(weights, "llama", &config)?))
+    },
+};
+
+/// Qwen 2 and 2.5, and the decoder of Qwen2.5-VL without its tower.
+pub(crate) const QWEN2: Family = Family {
+    name: "qwen2",
+    config_names: &["qwen2", "Qwen2ForCausalLM", "qwen2_5_vl_text"],
+    canonical_name,
+    gguf: Ok(&TextGguf::of_llama(&["qwen2", "qwen2vl"])),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Qwen2),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Qwen2)?;
+        Ok(Box::new(TextModel::take(weights, "qwen2", &config)?))
+    },
+};
+
+/// Qwen 3, and the decoder of Qwen3-VL without its tower.
+pub(crate) const QWEN3: Family = Family {
+    name: "qwen3",
+    config_names: &["qwen3", "Qwen3ForCausalLM", "qwen3_vl_text"],
+    canonical_name,
+    gguf: Ok(&TextGguf::of_llama(&["qwen3", "qwen3vl"])),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Qwen3),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Qwen3)?;
+        Ok(Box::new(TextModel::take(weights, "qwen3", &config)?))
+    },
+};
+
+/// Gemma 3 without a vision tower.
+pub(crate) const GEMMA3: Family = Family {
+    name: "gemma3_text",
+    config_names: &["gemma3_text", "Gemma3ForCausalLM"],
+    canonical_name,
+    gguf: Ok(&TextGguf::OF_GEMMA),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Gemma3),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Gemma3)?;
+        Ok(Box::new(TextModel::take(weights, "gemma3_text", &config)?))
+    },
+};
+
+const TOKENIZER: &str = "tokenizer.json";
+
+/// The canonical name of a tensor: that of the decoder of a vision model.
+fn canonical_name(stored: &str) -> Option<String> {
+    // Old files hold the frequencies, which follow from the configuration.
+    if stored.ends_with(".rotary_emb.inv_freq") {
+        return None;
+    }
+    let name = stored.strip_prefix("model.").unwrap_or(stored);
+    if name.starts_with("lm_head.") || name.starts_with("language_model.") {
+        return Some(name.to_string());
+    }
+    Some(format!("language_model.{name}"))
+}
+
+/// The configuration of a decoder, whose keys stand at the root. A file without a `model_type` has
+/// the class that its `architectures` name, else `unnamed`.
+fn config(files: &ModelFiles, unnamed: DecoderType) -> Result<LlamaConfig, MllmError> {
+    let (path, json) = (
+        files.path("config.json"),
+        files.required_json("config.json")?,
+    );
+    let root = ConfigObject::root(&path, &json)?;
+    let classes: Vec<String> = root.value("architectures")?.unwrap_or_default();
+    let named = classes
+        .first()
+        .and_then(|class| DecoderType::of_architecture(class));
+    LlamaConfig::read(root, named.unwrap_or(unnamed))
+}
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    Ok(format!("{:?}", config(files, DecoderType::Llama)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::canonical_name;
+
+    #[test]
+    fn every_layout_has_one_canonical_name() {
+        for (name, canonical) in [
+            ("model.norm.weight", Some("language_model.norm.weight")),
+            (
+                "layers.0.mlp.up_proj.weight",
+                Some("language_model.layers.0.mlp.up_proj.weight"),
+            ),
+            ("lm_head.weight", Some("lm_head.weight")),
+            ("model.layers.3.self_attn.rotary_emb.inv_freq", None),
+        ] {
+            assert_eq!(canonical_name(name).as_deref(), canonical);
+        }
+    }
+}
