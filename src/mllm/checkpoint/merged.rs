@@ -57,7 +57,7 @@ impl BaseTensor {
     /// Its format, for what is made of it.
     fn format(&self) -> MergedFormat {
         let packed = self.file.packed(&self.place);
-        let format = packed.map_or(self.place.format, |form| form.weight_format.ggml().into());
+        let format = packed.map_or(self.place.format, |form| form.weight_format.stored());
         MergedFormat {
             name: packed.map_or_else(|| format.name(), |form| form.label.clone()),
             format,
