@@ -12,7 +12,7 @@ use planagent_agent::environment::{
 };
 use planagent_agent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
 use planagent_agent::reasoning::PlannerCode;
-use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder};
+use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder, Ride};
 use planagent_agent::simulation::{Challenge, ClosedLoop, simulate};
 use planagent_scenario::generator::{DEFAULT, generate};
 use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
@@ -221,6 +221,7 @@ fn engine(c: &mut Criterion) {
     };
     let planner = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::default(),
         horizon_s: 4.0,
     }
     .build(GraphedScene::new(&scene, &graph), code)

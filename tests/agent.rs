@@ -10,7 +10,7 @@ use planagent_agent::reasoning::{
     Interruption, PlannerCode, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
 };
 use planagent_agent::reflection::{
-    Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake,
+    Judge, LeadPolicy, PlanBuilder, ProgressReference, Ride, Verdict, needs_emergency_brake,
 };
 use planagent_agent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
 use planagent_mllm::{
@@ -383,6 +383,7 @@ pub(crate) fn planner_at<'a>(
     };
     PlanBuilder {
         lead_policy,
+        ride: Ride::default(),
         horizon_s: 4.0,
     }
     .build(GraphedScene::new(&drive.scene(), graph), code)

@@ -61,6 +61,7 @@ fn a_monitored_plan_is_executed_itself_or_in_one_of_its_versions() {
         steps: 40,
         threshold: 0.75,
         emergency_brake: true,
+        handover: false,
     };
     let pedestrians = "generated/waiting_for_pedestrian_to_cross/0";
     let [unmonitored, slower, ..] = monitored_simulation(pedestrians, &monitor, 12.0);

@@ -243,6 +243,11 @@ pub(super) const MODELS_FETCH: &str = "\
 Example:
   planagent models fetch llava-hf/llava-1.5-7b-hf";
 
+pub(super) const MODELS_FAMILIES: &str = "\
+Examples:
+  planagent models families
+  planagent models families --markdown";
+
 pub(super) const MODELS_QUANTIZE: &str = "\
 Example:
   planagent models quantize llava-1.5-7b --to q4_k --out llava-1.5-7b.gguf";

@@ -163,7 +163,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
         Command::Config(flags) => commands::config::run(flags, &settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),
-        Command::BenchProcess(_) => commands::bench::process(config, printer),
+        Command::BenchProcess(flags) => commands::bench::process(flags.candle, config, printer),
         Command::TrialProcess => commands::trial::run(),
     })
 }

@@ -21,7 +21,7 @@ use toml::{Table, Value};
 
 /// Keys without a default value, beside the checkpoints of learned planners; the others are those of
 /// [`Config::default`].
-const OPTIONAL: [&str; 9] = [
+const OPTIONAL: [&str; 11] = [
     "mllm.adapter",
     "mllm.quantize",
     "mllm.context",
@@ -31,7 +31,11 @@ const OPTIONAL: [&str; 9] = [
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",
+    "language_agents.dilu.memory",
+    "language_agents.agent_driver.memory",
 ];
+/// The section that a file has only where it differs from its defaults.
+const LANGUAGE_AGENTS: &str = "language_agents";
 
 /// The settings of a command.
 pub(super) struct Settings {
@@ -182,7 +186,9 @@ impl Settings {
 
     /// Every setting in the order of the file, optional ones at the end of their section.
     pub(super) fn list(&self) -> anyhow::Result<Vec<Setting>> {
-        let table = Table::try_from(&self.config)?;
+        let mut table = Table::try_from(&self.config)?;
+        let agents = Table::try_from(&self.config.language_agents)?;
+        table.insert(LANGUAGE_AGENTS.to_owned(), agents.into());
         Ok(keys()?
             .into_iter()
             .map(|key| {
@@ -317,7 +323,10 @@ fn parse(text: &str) -> anyhow::Result<Table> {
 pub(super) fn keys() -> anyhow::Result<Vec<String>> {
     let (mut keys, mut section) = (Vec::new(), String::new());
     // A table forgets the order of its keys; the text of the defaults has it.
-    for line in toml::to_string(&Config::default())?.lines() {
+    let defaults = Config::default();
+    let agents = toml::to_string(&defaults.language_agents)?;
+    let agents = agents.replace('[', &format!("[{LANGUAGE_AGENTS}."));
+    for line in toml::to_string(&defaults)?.lines().chain(agents.lines()) {
         if let Some(name) = line
             .strip_prefix('[')
             .and_then(|rest| rest.strip_suffix(']'))
@@ -332,13 +341,10 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
         .learned()
         .map(|planner| checkpoint_key(planner.as_str()));
     for optional in OPTIONAL.into_iter().map(str::to_owned).chain(checkpoints) {
-        let section = optional
-            .split('.')
-            .next()
-            .expect("a split gives one part at least");
-        let last = keys
-            .iter()
-            .rposition(|key: &String| key.split('.').next() == Some(section));
+        let section = optional.rsplit_once('.').map_or("", |(section, _)| section);
+        let is_of_section =
+            |key: &String| key.rsplit_once('.').map_or("", |(own, _)| own) == section;
+        let last = keys.iter().rposition(is_of_section);
         keys.insert(last.map_or(keys.len(), |place| place + 1), optional);
     }
     Ok(keys)
@@ -346,7 +352,7 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
 
 fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     match key.split_once('.') {
-        Some((section, key)) => table.get(section)?.get(key),
+        Some((section, key)) => value_at(table.get(section)?.as_table()?, key),
         None => table.get(key),
     }
 }

@@ -49,9 +49,9 @@ pub fn entries() -> impl Iterator<Item = PlannerEntry> {
             "the agent with the best of four fixed codes (a control)",
             FourPlainCodes,
         ),
-        oracle::entry(),
     ]
     .into_iter()
+    .chain(oracle::entries())
 }
 
 fn control(

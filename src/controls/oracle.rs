@@ -1,7 +1,9 @@
 //! `oracle-code`: the agent with the planner codes of the privileged search that labels datasets. A
-//! control: no model can do better by its codes, as far as six seconds tell.
+//! control: no model that learns from them does better, as far as six seconds tell. `oracle-grid`
+//! takes the best of all codes of a grid, without the search's reserves: no model can do better by
+//! its codes.
 
-use super::search::{HORIZON, best, search_ahead};
+use super::search::{Candidate, HORIZON, best, highest, search_ahead, search_grid};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{
     AgentLayer, CodeCall, CodeList, CodeSource, Planner, PlannerError, PlannerInitialization,
@@ -13,11 +15,34 @@ use planagent_agent::simulation::ClosedLoop;
 use planagent_world::Trajectory;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The planner of this name.
-pub(crate) fn entry() -> PlannerEntry {
-    let name = PlannerName::new("oracle-code");
-    let summary = "the agent with codes tried out ahead (a control)";
-    PlannerEntry::new(name, summary, PlannerNeeds::Simulation, |parts| {
+/// The codes that are tried out ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Tried {
+    /// Those of the search for labels, by its value.
+    Search,
+    /// All of the grid, by nuPlan's score.
+    Grid,
+}
+
+/// The planners of these names.
+pub(crate) fn entries() -> [PlannerEntry; 2] {
+    [
+        entry(
+            "oracle-code",
+            "the agent with codes tried out ahead (a control)",
+            Tried::Search,
+        ),
+        entry(
+            "oracle-grid",
+            "the agent with all codes of a grid tried out ahead (a control)",
+            Tried::Grid,
+        ),
+    ]
+}
+
+fn entry(name: &'static str, summary: &'static str, tries: Tried) -> PlannerEntry {
+    let name = PlannerName::new(name);
+    PlannerEntry::new(name, summary, PlannerNeeds::Simulation, move |parts| {
         let simulation = parts.simulation.ok_or(PlannerError::MissingPart {
             planner: parts.name,
             part: "a simulation to look ahead in",
@@ -27,6 +52,7 @@ pub(crate) fn entry() -> PlannerEntry {
         Ok(Box::new(OracleAgent {
             shadow: simulation.clone(),
             agent: parts.agent(source),
+            tries,
             code,
             oncoming_lane: parts.settings.environment.oncoming_lane == Some(true),
         }))
@@ -56,6 +82,7 @@ struct OracleAgent {
     /// The same simulation, with the same trajectories.
     shadow: ClosedLoop<'static>,
     agent: Box<dyn AgentLayer>,
+    tries: Tried,
     code: HandedCode,
     /// Whether codes may name the oncoming lane.
     oncoming_lane: bool,
@@ -75,9 +102,13 @@ impl OracleAgent {
                 graph
             }
         });
-        let tried = graph
-            .map(|graph| search_ahead(&self.shadow, &graph, HORIZON.min(left)))
-            .unwrap_or_default();
+        let horizon = HORIZON.min(left);
+        let (tried, best): (Vec<Candidate>, fn(&[Candidate]) -> Option<&Candidate>) =
+            match (graph, self.tries) {
+                (None, _) => (Vec::new(), best),
+                (Some(graph), Tried::Search) => (search_ahead(&self.shadow, &graph, horizon), best),
+                (Some(graph), Tried::Grid) => (search_grid(&self.shadow, &graph, horizon), highest),
+            };
         self.code.hand(best(&tried).map(|best| best.code));
     }
 }

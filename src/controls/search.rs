@@ -2,10 +2,10 @@
 
 use planagent_agent::environment::lane_graph::{Centerline, GoalLane};
 use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
-use planagent_agent::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
+use planagent_agent::planner::{DEFAULT_ACCELERATIONS, feedback, grid_codes, planner_code};
 use planagent_agent::reasoning::{Feedback, PlannerCode};
 use planagent_agent::reflection::{
-    IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of,
+    IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Ride, Verdict, steps_of,
 };
 use planagent_agent::simulation::ClosedLoop;
 use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
@@ -152,6 +152,39 @@ pub fn search_ahead(
     tried
 }
 
+/// Simulates every code of the grid from the present state, over a number of iterations.
+pub(crate) fn search_grid(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    horizon: usize,
+) -> Vec<Candidate> {
+    let scene = simulation.scene();
+    let mut memory = PdmMemory::default();
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
+        return Vec::new();
+    };
+    let present = Present {
+        simulation,
+        graph,
+        judge: &judge,
+        memory: &memory,
+        limit: graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT),
+        horizon,
+    };
+    grid_codes(graph)
+        .into_iter()
+        .filter_map(|code| present.attempt(code))
+        .collect()
+}
+
+/// The candidate with the highest score, the first one of equals, whatever it costs.
+pub(crate) fn highest(tried: &[Candidate]) -> Option<&Candidate> {
+    tried
+        .iter()
+        .rev()
+        .max_by(|a, b| a.score.total_cmp(&b.score))
+}
+
 /// Simulates one planner code from the present state over [`HORIZON`]. None if it gives no plan, or
 /// fails as in [`search`].
 pub fn attempt(
@@ -294,6 +327,7 @@ pub fn planner(
 ) -> Option<IdmPlan> {
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::default(),
         horizon_s: ROLLOUT_S,
     };
     builder
@@ -314,6 +348,7 @@ pub fn follow(
         steps: steps_of(ROLLOUT_S),
         threshold: THRESHOLD,
         emergency_brake: true,
+        handover: false,
     };
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;

@@ -22,11 +22,6 @@ impl Activation {
         })
     }
 
-    /// silu(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
-    pub fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
-        Self::Silu.gated(gate_up)
-    }
-
     /// f(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
     ///
     /// # Errors
@@ -363,26 +358,28 @@ mod tests {
             .chain(std::iter::repeat_n(3.0, x.len()))
             .collect();
         let gate_up = Tensor::from_vec(row.repeat(5), (5, 2 * x.len()), &Device::Cpu).unwrap();
-        let found = Activation::swiglu(&gate_up)
-            .unwrap()
-            .to_vec2::<f32>()
-            .unwrap();
-        for row in found {
-            for (found, x) in row.into_iter().zip(&x) {
-                let x = f64::from(*x);
-                let expected = 3.0 * x / (1.0 + (-x).exp());
-                assert!(
-                    (f64::from(found) - expected).abs() <= 1e-6 * expected.abs() + 1e-7,
-                    "{x}: {found} {expected}"
-                );
+        let gelu = |x: f64| {
+            let inner = (2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x.powi(3));
+            0.5 * x * (1.0 + inner.tanh())
+        };
+        let silu = |x: f64| x / (1.0 + (-x).exp());
+        let gates: [(Activation, &dyn Fn(f64) -> f64); 2] =
+            [(Activation::Silu, &silu), (Activation::GeluTanh, &gelu)];
+        for (activation, gate) in gates {
+            let found = activation.gated(&gate_up).unwrap();
+            for row in found.to_vec2::<f32>().unwrap() {
+                for (found, x) in row.into_iter().zip(&x) {
+                    let expected = 3.0 * gate(f64::from(*x));
+                    assert!(
+                        (f64::from(found) - expected).abs() <= 2e-6 * expected.abs() + 3e-7,
+                        "{activation:?} {x}: {found} {expected}"
+                    );
+                }
             }
         }
-        assert!(
-            Activation::swiglu(
-                &Tensor::zeros((2, 3), candle_core::DType::F32, &Device::Cpu).unwrap()
-            )
-            .is_err()
-        );
+        let odd = Tensor::zeros((2, 3), candle_core::DType::F32, &Device::Cpu).unwrap();
+        assert!(Activation::Silu.gated(&odd).is_err());
+        assert!(Activation::Relu.gated(&gate_up).is_err());
     }
 
     #[test]

@@ -61,7 +61,7 @@ pub fn fill_experiences(training: Training) -> Filled<ExperienceItem> {
     let (items, notes): (Vec<_>, Vec<_>) = found.into_iter().unzip();
     let items = items.into_iter().flatten().collect();
     Filled {
-        memory: Memory::of("agent-driver", training.words(), items),
+        memory: Memory::new("agent-driver", training.words(), items),
         notes: notes.into_iter().flatten().collect(),
     }
 }
@@ -155,7 +155,7 @@ pub fn fill_decisions(
         }
     }
     Ok(Filled {
-        memory: Memory::of("dilu", training.words(), items),
+        memory: Memory::new("dilu", training.words(), items),
         notes,
     })
 }

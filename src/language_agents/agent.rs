@@ -9,7 +9,7 @@ use planagent_world::Trajectory;
 
 /// A language agent. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a planner.
 pub(crate) trait LanguageAgent: Send {
-    /// What the model is told about the scene, and what else its answer is read with.
+    /// What the model reads about the scene, and what else its answer is read with.
     type Observation<'a>;
     /// What the model answers.
     type Answer: Copy + Into<PlannerAnswer> + Send + 'static;

@@ -31,7 +31,7 @@ fn agent(prompt: &str, _: usize) -> String {
         let places = (1..=6).map(|i| format!("(0.00,{:.2})", step * f64::from(i)));
         return format!("Trajectory: [{}]", places.collect::<Vec<_>>().join(", "));
     }
-    "Thoughts: none\nPlan: move forward at constant speed".to_owned()
+    "Reasons: none\nPlan: move forward at constant speed".to_owned()
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn agent_driver_drives_the_default_scene_with_tools_in_its_records() {
                 "need",
                 "need",
                 "tool",
-                "thoughts",
+                "reasoning",
                 "waypoints",
             ];
             assert_eq!(names, expected, "no memory, so nothing is recalled");
@@ -78,7 +78,7 @@ fn agent_driver_drives_the_default_scene_with_tools_in_its_records() {
             .find(|(prompt, _)| prompt.contains("Rules:"))
             .unwrap();
         assert!(plan.0.contains("error: (0.00,900.00)"), "{}", plan.0);
-        assert!(plan.0.contains("Thoughts: none"));
+        assert!(plan.0.contains("Reasons: none"));
     }
 }
 
@@ -94,7 +94,7 @@ fn the_experience_that_the_model_picks_stands_in_the_plan() {
     };
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("memory.json");
-    let memory = Memory::of(
+    let memory = Memory::new(
         "agent-driver",
         "a test".to_owned(),
         (1..=4).map(item).collect(),

@@ -95,7 +95,7 @@ fn an_answer_without_an_action_is_asked_about_once_and_then_counted() {
 fn memory_of(items: Vec<DiluItem>) -> (tempfile::TempDir, PlanAgentSettings) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("dilu.json");
-    let memory = Memory::of("dilu", "a test".to_owned(), items);
+    let memory = Memory::new("dilu", "a test".to_owned(), items);
     std::fs::write(&file, serde_json::to_string(&memory).unwrap()).unwrap();
     let mut language_agents = LanguageAgentSettings::default();
     language_agents.dilu.memory = Some(file.to_str().unwrap().to_owned());

@@ -19,7 +19,7 @@ mod waypoints;
 pub use agent_driver::{agent_driver_text, experience};
 pub use dilu::{Drive, dilu_text, lesson_items};
 pub use entry::entries;
-pub use memory::{DiluItem, ExperienceItem, Memory, MemoryError};
+pub use memory::{DiluItem, ExperienceItem, Memory};
 
 #[cfg(test)]
 mod agent_driver_tests;

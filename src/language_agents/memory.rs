@@ -69,7 +69,7 @@ impl ExperienceItem {
 /// Why a memory cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
-pub enum MemoryError {
+pub(crate) enum MemoryError {
     #[error("cannot read the memory {}: {source}", path.display())]
     Read {
         path: PathBuf,
@@ -104,7 +104,7 @@ pub(crate) fn digest(file: &str) -> Option<String> {
 
 impl<T> Memory<T> {
     /// A memory of an agent.
-    pub fn of(agent: &str, source: String, items: Vec<T>) -> Self {
+    pub fn new(agent: &str, source: String, items: Vec<T>) -> Self {
         Self {
             format: FORMAT,
             agent: agent.to_owned(),
@@ -118,7 +118,7 @@ impl<T: DeserializeOwned> Memory<T> {
     /// Reads the memory of an agent; an agent without a file has none.
     pub(crate) fn open(file: Option<&str>, agent: &'static str) -> Result<Self, MemoryError> {
         let Some(file) = file else {
-            return Ok(Self::of(agent, String::new(), Vec::new()));
+            return Ok(Self::new(agent, String::new(), Vec::new()));
         };
         let path = Path::new(file).to_owned();
         let text = match planagent_files::read_text(&path, MAX_BYTES) {
@@ -158,7 +158,7 @@ mod tests {
             action: DrivingAction::Faster,
             comment: "one".to_owned(),
         };
-        let memory = Memory::of("dilu", "two scenes".to_owned(), vec![item]);
+        let memory = Memory::new("dilu", "two scenes".to_owned(), vec![item]);
         let file = folder.path().join("memory.json");
         let name = file.to_str().unwrap();
         let write = |text: &str| std::fs::write(&file, text).unwrap();

@@ -157,7 +157,7 @@ fn straight_on(prompt: &str, _: usize) -> String {
     let step = speed_in(prompt).max(1.0);
     let places = (1..=6).map(|i| format!("(0.00,{:.2})", step * f64::from(i)));
     let list = places.collect::<Vec<_>>().join(", ");
-    format!("Thoughts: none\nAction: move forward at constant speed\nTrajectory: [{list}]")
+    format!("Reasons: none\nAction: move forward at constant speed\nTrajectory: [{list}]")
 }
 
 #[test]

@@ -46,6 +46,22 @@ pub struct Family {
     pub decoder_config: fn(&ModelFiles) -> Result<LlamaConfig, MllmError>,
     /// Opens the configuration and the preprocessor, and takes the weights.
     pub open: fn(&ModelFiles, &mut Weights) -> OpenedModel,
+    /// What its users read (`docs/supported-models.md`).
+    pub about: About,
+}
+
+/// What users of a family read.
+#[derive(Debug, Clone, Copy)]
+pub struct About {
+    /// The published models that it opens, in words.
+    pub models: &'static str,
+    /// The decoders of llama.cpp's files that it opens (`general.architecture`), and the projector
+    /// beside each (`clip.projector_type`).
+    pub gguf: &'static [(&'static str, Option<&'static str>)],
+    /// What its outputs are compared with, and where.
+    pub tested: &'static str,
+    /// A published model, as `--model` takes it.
+    pub example: &'static str,
 }
 
 impl Debug for Family {
@@ -314,6 +330,8 @@ pub struct ModelInfo {
     pub image_size: Option<usize>,
     /// Tokens of the image that becomes the most.
     pub max_image_tokens: usize,
+    /// How many tokens an image may become; none where its tower decides.
+    pub image_range: Option<ImageRange>,
     /// Number of token ids.
     pub vocabulary: usize,
     /// Positions that the decoder was trained for.
@@ -322,6 +340,15 @@ pub struct ModelInfo {
     pub parameters: u64,
     /// BLAKE3 of the weight files.
     pub blake3: String,
+}
+
+/// How many tokens an image may become in a tower that takes any size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct ImageRange {
+    pub least: usize,
+    pub most: usize,
+    /// The least that the model's makers, and llama.cpp, advise where places in the image matter.
+    pub advised: usize,
 }
 
 /// An id that no vocabulary has.
@@ -354,6 +381,7 @@ impl ModelInfo {
             image_first: false,
             image_size: image.map(|image| image.side),
             max_image_tokens: image.map_or(0, |image| image.max_tokens),
+            image_range: None,
             vocabulary: text.vocabulary,
             positions: text.context,
             parameters: (before - weights.elements()) as u64,

@@ -74,8 +74,8 @@ pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
 pub use family::{
-    Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageSettings, ModelInfo, OpenedModel,
-    PlacedImage, Positions, Tiles, VisionLanguageModel,
+    About, Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageRange, ImageSettings,
+    ModelInfo, OpenedModel, PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};

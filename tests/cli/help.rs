@@ -5,7 +5,7 @@ use std::path::Path;
 use tempfile::TempDir;
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 27] = [
+pub(super) const COMMANDS: [&str; 28] = [
     "",
     "simulate",
     "plan",
@@ -27,6 +27,7 @@ pub(super) const COMMANDS: [&str; 27] = [
     "models show",
     "models check",
     "models fetch",
+    "models families",
     "models quantize",
     "dataset",
     "study",

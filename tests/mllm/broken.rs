@@ -350,7 +350,7 @@ fn wrong_configuration_keys_are_named() {
         ("text_config.rms_norm_eps", json!(0)),
         ("text_config.attention_bias", json!("yes")),
         ("text_config.hidden_act", json!("gelu")),
-        ("text_config.rope_parameters.rope_type", json!("yarn")),
+        ("text_config.rope_parameters.rope_type", json!("longrope")),
         ("text_config.rope_parameters.rope_theta", json!(-1)),
         ("vision_config.model_type", json!("dinov2")),
         ("vision_config.patch_size", json!(64)),

@@ -3,7 +3,7 @@
 use super::{Copy, FIRST, free, open, prefix};
 use image::RgbImage;
 use planagent_mllm::{
-    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures,
+    About, Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures,
     ImageLayout, LanguageModel, Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage,
     Positions, Tiles, Trust, VisionLanguageModel,
 };
@@ -18,6 +18,12 @@ static TOY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| (llava().decoder_config)(files),
     open: |files, weights| Ok(Box::new(ToyModel((llava().open)(files, weights)?))),
+    about: About {
+        models: "toys",
+        gguf: &[],
+        tested: "this file",
+        example: "toy",
+    },
 };
 
 #[derive(Debug)]

@@ -63,6 +63,7 @@ impl AgentState {
             clock: Clock::default(),
             builder: PlanBuilder {
                 lead_policy: settings.reflection.lead_policy,
+                ride: settings.reflection.ride,
                 horizon_s,
             },
             interval_s: settings.agent.interval_s,

@@ -123,6 +123,28 @@ impl<P> Attempts<P> {
         Ok(attempts)
     }
 
+    /// Tries further answers out, in one more attempt that nobody was asked for. Its record has all
+    /// of them as proposals. Its plan is the best, the first of equals.
+    pub(super) fn try_further<Q: Question<Plan = P>>(
+        &mut self,
+        question: &mut Q,
+        answers: Vec<Q::Answer>,
+    ) -> Result<(), PlannerError> {
+        let mut answers = answers.into_iter();
+        let Some(first) = answers.next() else {
+            return Ok(());
+        };
+        let started = Instant::now();
+        let mut trace = ReasoningTrace::without_rounds(first);
+        trace.proposals = answers.collect();
+        let (trial, proposals) = best_trial(question, &mut trace)?;
+        let reflection_ms = milliseconds(started.elapsed());
+        let mut tried = tried(trace, trial, proposals, reflection_ms);
+        tried.record.is_asked = false;
+        self.tried.push(tried);
+        Ok(())
+    }
+
     /// Keeps the better of two, the earlier of equals. Its record contains the reflection time of
     /// all.
     fn keep_better(&mut self, tried: Tried<P>) {
@@ -139,6 +161,12 @@ impl<P> Attempts<P> {
         if let Some(best) = self.tried.first_mut() {
             best.record.reflection_ms = spent_ms;
         }
+    }
+
+    /// Whether there are attempts with plans, and Reflection refused each.
+    pub(super) fn are_refused(&self) -> bool {
+        let judged = |tried: &Tried<P>| tried.plan.is_some() && tried.record.reflection.is_some();
+        self.interruption.is_none() && self.accepted().is_none() && self.tried.iter().any(judged)
     }
 
     /// The first attempt whose plan is accepted.
@@ -265,7 +293,121 @@ fn tried<A: Into<PlannerAnswer>, P>(
             proposals,
             path,
             reflection_ms,
+            is_asked: true,
         },
         plan,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::CenterlineName;
+    use crate::reasoning::PlannerCode;
+    use crate::reflection::{ProgressReference, SubScores};
+    use planagent_score::pdm::DrivableLayers;
+
+    const THRESHOLD: f64 = 0.75;
+
+    /// Asks for codes of the speeds in `asked`; a plan of v m/s scores 1 - v / 10.
+    struct Slower {
+        asked: Vec<f64>,
+    }
+
+    fn code(target_speed: f64) -> PlannerCode {
+        PlannerCode {
+            centerline: CenterlineName::EgoLane,
+            lead_agent: None,
+            target_speed,
+            accel_max: 1.5,
+            decel_max: 3.0,
+        }
+    }
+
+    fn report(score: f64) -> ReflectionReport {
+        ReflectionReport {
+            score,
+            parts: SubScores {
+                no_collision: 1.0,
+                drivable_area: 1.0,
+                driving_direction: 1.0,
+                progress: 1.0,
+                time_to_collision: 1.0,
+                comfort: 1.0,
+            },
+            progress_reference: ProgressReference::OwnProgress,
+            drivable_layers: DrivableLayers::DrivableArea,
+            threshold: THRESHOLD,
+            verdict: if score >= THRESHOLD {
+                Verdict::Execute
+            } else {
+                Verdict::Rethink
+            },
+            progress_m: 0.0,
+            first_at_fault_s: None,
+            first_ttc_s: None,
+            states: Vec::new(),
+        }
+    }
+
+    impl Question for Slower {
+        type Answer = PlannerCode;
+        type Plan = f64;
+
+        fn ask(
+            &mut self,
+            _: Option<&Feedback>,
+        ) -> Result<Option<ReasoningTrace<PlannerCode>>, ReasoningError> {
+            Ok(self
+                .asked
+                .pop()
+                .map(|speed| ReasoningTrace::without_rounds(code(speed))))
+        }
+
+        fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<f64>>, PlannerError> {
+            Ok(Some(Trial {
+                plan: code.target_speed,
+                path: Vec::new(),
+                reflection: Some(report(1.0 - code.target_speed / 10.0)),
+                threshold: THRESHOLD,
+            }))
+        }
+    }
+
+    /// The attempts of a call with these codes, the first last, and then with those of 8, 4 and 2.
+    fn attempts(asked: &[f64]) -> Attempts<f64> {
+        let mut question = Slower {
+            asked: asked.to_vec(),
+        };
+        let limits = AttemptLimits {
+            max_exec: 3,
+            threshold: THRESHOLD,
+            compares: false,
+        };
+        let mut attempts = Attempts::make(&mut question, limits, 0.0).unwrap();
+        if attempts.are_refused() {
+            attempts
+                .try_further(&mut question, [8.0, 4.0, 2.0].map(code).to_vec())
+                .unwrap();
+        }
+        attempts
+    }
+
+    #[test]
+    fn further_codes_are_tried_where_all_attempts_were_refused_and_only_there() {
+        let tried = attempts(&[9.0, 9.0, 9.0]);
+        assert_eq!(tried.accepted(), Some(3));
+        let (records, plan) = tried.into_records(Some(3));
+        assert_eq!(plan, Some(2.0));
+        assert_eq!(
+            records
+                .iter()
+                .map(|record| (record.is_asked, record.proposals.len()))
+                .collect::<Vec<_>>(),
+            [(true, 0), (true, 0), (true, 0), (false, 3)]
+        );
+        let tried = attempts(&[1.0, 9.0]);
+        assert_eq!(tried.accepted(), Some(1));
+        assert_eq!(tried.into_records(None).0.len(), 2);
     }
 }

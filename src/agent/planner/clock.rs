@@ -37,7 +37,7 @@ impl Clock {
     }
 
     /// A planning call is due at the next step.
-    pub fn set_due(&mut self) {
+    pub(crate) fn set_due(&mut self) {
         self.called = None;
     }
 

@@ -48,6 +48,21 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
         .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
 }
 
+/// Codes that are tried where Reflection refused all of a call: the ego's lane from the limit down,
+/// then other lanes at the limit.
+/// Why: docs/decisions/129-judged-handover.md.
+pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
+    let moving = GRID_SPEEDS.into_iter().filter(|&fraction| fraction > 0.0);
+    let own = moving.map(|fraction| (CenterlineName::EgoLane, fraction));
+    let others = graph
+        .named()
+        .filter(|centerline| centerline.name != CenterlineName::EgoLane)
+        .map(|centerline| (centerline.name, 1.0));
+    own.chain(others)
+        .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
+        .collect()
+}
+
 /// The code for a centerline of the scene behind its lead agent, at a fraction of the speed limit
 /// (whole m/s).
 pub fn planner_code(

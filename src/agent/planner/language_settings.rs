@@ -46,6 +46,21 @@ impl LanguageAgentSettings {
         .into_iter()
     }
 
+    /// The memories that are set: key, planner and file.
+    #[doc(hidden)]
+    pub fn memories(&self) -> impl Iterator<Item = (&'static str, &'static str, &str)> {
+        [
+            ("language_agents.dilu.memory", "dilu", &self.dilu.memory),
+            (
+                "language_agents.agent_driver.memory",
+                "agent-driver",
+                &self.agent_driver.memory,
+            ),
+        ]
+        .into_iter()
+        .filter_map(|(key, planner, file)| Some((key, planner, file.as_deref()?)))
+    }
+
     /// The files of all memories.
     #[doc(hidden)]
     pub fn memories_mut(&mut self) -> impl Iterator<Item = &mut String> {
@@ -126,7 +141,7 @@ impl Default for DiluSettings {
 pub struct AgentDriverSettings {
     /// Time between planning calls, seconds.
     pub interval_s: f64,
-    /// Maximum tokens of thoughts, and of waypoints.
+    /// Maximum tokens of reasons, and of waypoints.
     pub max_tokens: usize,
     /// The file of the memory; `None` for none.
     #[serde(skip_serializing_if = "Option::is_none")]

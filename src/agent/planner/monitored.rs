@@ -67,6 +67,9 @@ impl<A: AgentLayer> AgentLayer for Monitored<A> {
             state.active = back.into();
             state.note(|call| call.aborted_lane_change = Some(input.iteration));
         }
+        if step.is_handover {
+            state.note(|call| call.handovers += 1);
+        }
         if step.brakes {
             state.note(|call| call.emergency_brakes += 1);
         }

@@ -5,6 +5,7 @@ use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
 use super::code_question::{CodeQuestion, begins_lane_change};
 use super::code_source::{CodeSource, CodesAsked};
+use super::codes::further_codes;
 use super::layer::AgentLayer;
 use super::layered::with_layers;
 use super::model_input::ModelInput;
@@ -114,7 +115,12 @@ impl PlanAgent {
             threshold,
             compares: source.compares(),
         };
-        let attempts = Attempts::make(&mut question, limits, observation_ms)?;
+        let mut attempts = Attempts::make(&mut question, limits, observation_ms)?;
+        let tries_further = settings.reflection.further_codes
+            && settings.reflection.after_max_exec == AfterMaxExec::Best;
+        if tries_further && attempts.are_refused() {
+            attempts.try_further(&mut question, further_codes(graph))?;
+        }
         let active = match (&judge, state.active_plan()) {
             (Some(judge), Some(active))
                 if attempts.accepted().is_none()
@@ -236,6 +242,7 @@ impl AgentLayer for PlanAgent {
             attempts,
             decision,
             emergency_brakes: 0,
+            handovers: 0,
             aborted_lane_change,
             active_from: None,
             environment_ms,

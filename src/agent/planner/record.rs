@@ -152,6 +152,9 @@ pub struct Attempt {
     pub path: Vec<Pose>,
     /// Wall time of the roll-out and its scoring, milliseconds.
     pub reflection_ms: f64,
+    /// Whether the source of codes was asked. After refusals the agent tries further codes out by
+    /// itself (docs/decisions/129-judged-handover.md).
+    pub is_asked: bool,
 }
 
 /// An answer that an attempt proposed beside others.
@@ -177,6 +180,7 @@ impl Attempt {
             proposals: Vec::new(),
             path: Vec::new(),
             reflection_ms: 0.0,
+            is_asked: true,
         }
     }
 
@@ -244,6 +248,9 @@ pub struct PlanningCall {
     /// Iterations after this call in which the ego braked hard against the active plan: by
     /// PDM-Closed's emergency brake, or by the stop of a monitored plan.
     pub emergency_brakes: usize,
+    /// Iterations after this call in which one of PDM-Closed's proposals drove in place of the
+    /// active plan.
+    pub handovers: usize,
     /// The iteration at which a lane change was aborted.
     pub aborted_lane_change: Option<usize>,
     /// With a latency: the iteration at which the call's plan became active; `None` where it did
@@ -274,6 +281,7 @@ impl PlanningCall {
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,
+            handovers: 0,
             aborted_lane_change: None,
             active_from: None,
             environment_ms: total_ms,
@@ -283,7 +291,8 @@ impl PlanningCall {
 
     /// Attempts after the first.
     pub fn rethinks(&self) -> usize {
-        self.attempts.len().saturating_sub(1)
+        let asked = self.attempts.iter().filter(|attempt| attempt.is_asked);
+        asked.count().saturating_sub(1)
     }
 
     /// Errors in all answers.

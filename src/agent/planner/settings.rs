@@ -4,7 +4,7 @@
 use super::language_settings::LanguageAgentSettings;
 use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
-use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
+use crate::reflection::{LeadPolicy, PlanMonitor, Ride, steps_of};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -114,9 +114,16 @@ pub struct ReflectionSettings {
     /// Which plan becomes active when all attempts were refused.
     /// Why: docs/decisions/109-paper-settings.md.
     pub after_max_exec: AfterMaxExec,
+    /// Whether further codes are tried out when all attempts were refused: the ego's lane more
+    /// slowly, and other lanes.
+    /// Why: docs/decisions/129-judged-handover.md.
+    pub further_codes: bool,
     /// Which objects a plan follows.
     /// Why: docs/decisions/103-lead-policy.md.
     pub lead_policy: LeadPolicy,
+    /// How plans drive.
+    /// Why: docs/decisions/128-comfortable-plans.md.
+    pub ride: Ride,
     /// Whether the active plan is monitored between planning calls. At every step it is scored with
     /// its slower and lateral versions and a stop, and one of them is executed. A lane change whose
     /// score falls is aborted. Without monitoring the plan is executed as the model wrote it (the
@@ -127,6 +134,10 @@ pub struct ReflectionSettings {
     /// under monitoring by the stop.
     /// Why: docs/decisions/104-emergency-brake.md.
     pub emergency_brake: bool,
+    /// Whether the best of PDM-Closed's proposals drives at a step where the monitored plan scores
+    /// less than λ and the proposal scores more.
+    /// Why: docs/decisions/129-judged-handover.md.
+    pub handover: bool,
 }
 
 impl Default for ReflectionSettings {
@@ -138,9 +149,12 @@ impl Default for ReflectionSettings {
             max_exec: 3,
             horizon_s: 4.0,
             after_max_exec: AfterMaxExec::Best,
+            further_codes: false,
             lead_policy: LeadPolicy::Nearest,
+            ride: Ride::Idm,
             monitoring: true,
             emergency_brake: true,
+            handover: false,
         }
     }
 }
@@ -223,6 +237,15 @@ impl Default for PlanAgentSettings {
 }
 
 impl PlanAgentSettings {
+    /// The same with plans in the paper's form: the plan of a code drives as its IDM says, and
+    /// nothing but codes is tried.
+    pub(crate) fn in_form_of_paper(mut self) -> Self {
+        self.reflection.ride = Ride::Idm;
+        self.reflection.further_codes = false;
+        self.reflection.handover = false;
+        self
+    }
+
     /// The deadline of a planning call, if there is one.
     #[doc(hidden)]
     pub fn deadline(&self) -> Option<Duration> {
@@ -237,12 +260,14 @@ impl PlanAgentSettings {
             horizon_s,
             threshold,
             emergency_brake,
+            handover,
             ..
         } = self.reflection;
         (enabled && monitoring).then(|| PlanMonitor {
             steps: steps_of(horizon_s),
             threshold,
             emergency_brake,
+            handover,
         })
     }
 

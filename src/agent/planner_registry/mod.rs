@@ -94,6 +94,7 @@ pub struct PlannerEntry {
     unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
     prepare: Arc<Prepare>,
     digests: Arc<Digests>,
+    least_context: usize,
 }
 
 impl PlannerEntry {
@@ -113,6 +114,7 @@ impl PlannerEntry {
             unsupported: |_| None,
             prepare,
             digests: Arc::new(|_: &PlanAgentSettings| BTreeMap::new()),
+            least_context: 0,
         }
     }
 
@@ -150,6 +152,22 @@ impl PlannerEntry {
             digests: Arc::new(digests),
             ..self
         }
+    }
+
+    /// The same, whose prompts and answers need a context of this many tokens.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn needing_context(self, tokens: usize) -> Self {
+        Self {
+            least_context: tokens,
+            ..self
+        }
+    }
+
+    /// Tokens that the context of its model has at least.
+    #[doc(hidden)]
+    pub fn least_context(&self) -> usize {
+        self.least_context
     }
 
     /// BLAKE3 of the texts of its own that it reads, by name, hexadecimal: part of a run's inputs.
@@ -239,6 +257,12 @@ impl Default for PlannerRegistry {
                     "the agent of the paper",
                     Model,
                     plan_agent,
+                ),
+                PlannerEntry::new(
+                    name("plan-agent-paper"),
+                    "the agent with the paper's form of a plan",
+                    Model,
+                    plan_agent_of_paper,
                 ),
                 PlannerEntry::new(
                     name("log-replay"),
@@ -346,6 +370,16 @@ fn plan_agent(parts: &PlannerParts<'_>) -> Built {
     Ok(Box::new(parts.agent(parts.model.cloned().ok_or(missing)?)))
 }
 
+/// PlanAgent with the paper's form of a plan, whatever the settings say of that.
+/// Why: docs/decisions/128-comfortable-plans.md.
+fn plan_agent_of_paper(parts: &PlannerParts<'_>) -> Built {
+    let settings = parts.settings.clone().in_form_of_paper();
+    plan_agent(&PlannerParts {
+        settings: &settings,
+        ..*parts
+    })
+}
+
 fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
     let Some(CodeSource::Model {
         model,
@@ -390,7 +424,9 @@ mod tests {
         );
         let error = registry.find("imd").unwrap_err().to_string();
         assert!(
-            error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"),
+            error.starts_with(
+                "unknown planner 'imd'; known planners are plan-agent, plan-agent-paper, log-replay"
+            ),
             "{error}"
         );
     }

@@ -35,8 +35,8 @@ choice! {
         Tool = "tool",
         /// Which experience of a memory fits.
         Experience = "experience",
-        /// Thoughts without a plan.
-        Thoughts = "thoughts",
+        /// Reasons without a plan.
+        Reasoning = "reasoning",
         /// What is to be learned from an accident.
         Lesson = "lesson",
     }

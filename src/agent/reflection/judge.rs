@@ -60,7 +60,7 @@ pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmI
     judged(scene, PdmInstant::new(scene, &lanes, layers, collided))
 }
 
-fn observe_along<'a>(
+pub(super) fn observe_along<'a>(
     reference_path: &ReferencePath,
     scene: &SceneView<'a>,
     collided: &mut Collided,

@@ -1,6 +1,7 @@
 //! Stage 5: the Reflection module of the paper. It builds the plan of a planner code, rolls it out
 //! over a short horizon and scores it before it becomes active.
 
+mod handover;
 mod judge;
 mod monitor;
 mod overtake;
@@ -8,6 +9,7 @@ mod path;
 mod plan_builder;
 mod reach;
 mod report;
+mod ride;
 mod rollout;
 mod shift;
 
@@ -17,4 +19,5 @@ pub use overtake::OvertakeRules;
 pub(crate) use overtake::allowed_overtake;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
+pub use ride::Ride;
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

@@ -1,5 +1,6 @@
 //! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
+use super::handover::{Handover, better_proposal};
 use super::judge::{ReflectionError, observe, score_versions};
 use super::rollout::{IdmPlan, Version};
 use planagent_score::metrics::MetricError;
@@ -19,6 +20,10 @@ pub struct PlanMonitor {
     pub threshold: f64,
     /// Whether the ego may brake hard: by the stop, or by PDM-Closed's emergency brake.
     pub emergency_brake: bool,
+    /// Whether the best of PDM-Closed's proposals drives where the chosen version scores less than
+    /// λ and the proposal scores more.
+    /// Why: docs/decisions/129-judged-handover.md.
+    pub handover: bool,
 }
 
 /// The version that the monitor chooses.
@@ -45,6 +50,8 @@ pub struct MonitoredStep {
     pub brakes: bool,
     /// Whether the version is an overtake over the oncoming lane that breaks a rule.
     pub is_refused: bool,
+    /// Whether it is one of PDM-Closed's proposals in place of a version.
+    pub is_handover: bool,
 }
 
 impl MonitoredStep {
@@ -58,7 +65,8 @@ impl MonitoredStep {
 }
 
 impl PlanMonitor {
-    /// The trajectory of the version that [`Self::choose`] chooses.
+    /// The trajectory of the version that [`Self::choose`] chooses, or of one of PDM-Closed's
+    /// proposals ([`Self::handover`]).
     ///
     /// # Errors
     /// When the roll-outs are too short to be scored, or the ego's state is not finite.
@@ -69,6 +77,13 @@ impl PlanMonitor {
         memory: &mut PdmMemory,
     ) -> Result<MonitoredStep, ReflectionError> {
         let choice = self.choose(scene, plan, memory)?;
+        if self.handover
+            && choice.score < self.threshold
+            && let Some(better) =
+                better_proposal(scene, (plan, choice.version), memory, self.steps)?
+        {
+            return self.hand_over(scene.ego, &better);
+        }
         let trajectory = if choice.emergency_brake {
             emergency_brake(scene.ego, TRAJECTORY_STEPS)?
         } else {
@@ -81,6 +96,23 @@ impl PlanMonitor {
             score: choice.score,
             brakes,
             is_refused: choice.is_refused,
+            is_handover: false,
+        })
+    }
+
+    fn hand_over(&self, ego: &EgoState, to: &Handover) -> Result<MonitoredStep, ReflectionError> {
+        let brakes = self.emergency_brake && needs_emergency_brake(to.score.first_at_fault_s, ego);
+        let trajectory = if brakes {
+            emergency_brake(ego, TRAJECTORY_STEPS)?
+        } else {
+            to.rollout.to_trajectory(ego)?
+        };
+        Ok(MonitoredStep {
+            trajectory,
+            score: to.score.total,
+            brakes,
+            is_refused: false,
+            is_handover: true,
         })
     }
 

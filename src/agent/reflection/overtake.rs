@@ -1,6 +1,7 @@
 //! The rules under which a plan may pass something over the oncoming lane.
 
 use super::plan_builder::PlanBuilder;
+use super::ride::Ride;
 use super::rollout::LeadPolicy;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, GraphedScene};
@@ -137,6 +138,7 @@ pub(crate) fn allowed_overtake(seen: GraphedScene<'_>) -> Option<&OncomingLane> 
     let lane = graph.oncoming.as_ref()?;
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::Idm,
         horizon_s: at(STEPS),
     };
     let plan = builder
@@ -176,6 +178,7 @@ mod tests {
 
     const BUILDER: PlanBuilder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::Idm,
         horizon_s: 8.0,
     };
 
@@ -309,6 +312,7 @@ mod tests {
             steps: 40,
             threshold: 0.75,
             emergency_brake: true,
+            handover: false,
         };
         let choice = |scene: SceneBuilder| {
             let scene = scene.build().unwrap();
@@ -344,6 +348,7 @@ mod tests {
             steps: 40,
             threshold: 0.75,
             emergency_brake: true,
+            handover: false,
         };
         let scene = road(13.0, 8.0)
             .vehicle([70.0, 3.5], PI, 8.0)

@@ -1,6 +1,7 @@
 //! Builds plans from planner codes, and from plans that stay active.
 
 use super::overtake::OvertakeRules;
+use super::ride::Ride;
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, GraphedScene, LaneGraph};
 use crate::reasoning::PlannerCode;
@@ -19,6 +20,8 @@ const LIMIT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 pub struct PlanBuilder {
     /// Which objects a plan follows.
     pub lead_policy: LeadPolicy,
+    /// How a plan drives.
+    pub ride: Ride,
     /// Time that a plan's path is long enough for, seconds.
     pub horizon_s: f64,
 }
@@ -42,14 +45,7 @@ impl PlanBuilder {
             .and_then(|name| graph.agent(name))
             .map(|agent| agent.token);
         let path = centerline.path.clone();
-        let plan = IdmPlan::new(
-            scene,
-            code,
-            path,
-            lead_agent,
-            self.lead_policy,
-            self.horizon_s,
-        )?;
+        let plan = IdmPlan::new(scene, code, path, lead_agent, self)?;
         Ok(Some(plan.at_blocked_lane(graph, centerline.name)))
     }
 

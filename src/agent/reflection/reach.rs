@@ -2,6 +2,7 @@
 
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
+use super::ride::Ride;
 use super::rollout::{LeadPolicy, Version};
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene};
@@ -85,6 +86,7 @@ pub(super) fn reach_of_lanes(
 ) -> Result<LaneReach, ReflectionError> {
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::Idm,
         horizon_s,
     };
     let mut lanes = LaneReach::default();
@@ -136,6 +138,7 @@ mod tests {
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         let builder = PlanBuilder {
             lead_policy: LeadPolicy::Nearest,
+            ride: Ride::Idm,
             horizon_s: 4.0,
         };
         let plan = builder

@@ -1,6 +1,8 @@
 //! Rolls plans out: IDM along the path of the plan, behind the lead object.
 
 use super::path::onto_centerline;
+use super::plan_builder::PlanBuilder;
+use super::ride::{Bends, Ride, Smoothed};
 use super::shift::shift;
 use crate::environment::lane_graph::OncomingLane;
 use crate::environment::{CenterlineName, LaneGraph};
@@ -57,6 +59,8 @@ pub struct IdmPlan {
     pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
+    /// How it drives.
+    ride: Ride,
     /// The way past what blocks the ego's lane, where the plan takes it.
     oncoming: Option<Box<OncomingLane>>,
     /// Where the ego stops in its lane before what it may pass.
@@ -66,6 +70,8 @@ pub struct IdmPlan {
     paths: [Polyline; LATERAL_OFFSETS.len()],
     /// Where the first path has come onto its line.
     settled: Point,
+    /// The speed that bends allow along the paths.
+    bends: Bends,
 }
 
 /// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
@@ -76,6 +82,8 @@ pub struct Version {
     path: usize,
     /// Its share of the desired speed.
     fraction: f64,
+    /// Whether it comes to that speed as fast as the code allows, whatever the ride.
+    is_brisk: bool,
 }
 
 impl Version {
@@ -83,14 +91,40 @@ impl Version {
     pub const PLAN: Self = Self {
         path: 0,
         fraction: 1.0,
+        is_brisk: false,
     };
     /// A stop on the plan's own path, at the highest deceleration that a code may contain.
     pub const STOP: Self = Self {
         path: 0,
         fraction: 0.0,
+        is_brisk: true,
     };
 
-    const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len() + 1;
+    /// The versions along a path, the fastest first. On the plan's own path, those that slow down
+    /// gently come before those that brake; to the side the ego evades something.
+    fn along(path: usize, ride: Ride) -> Vec<Self> {
+        let fractions = || SPEED_FRACTIONS.into_iter().rev();
+        let version = |is_brisk| {
+            move |fraction| Self {
+                path,
+                fraction,
+                is_brisk,
+            }
+        };
+        let slower = fractions().skip(1);
+        match (ride, path) {
+            (Ride::Idm, _) => fractions().map(version(false)).collect(),
+            (Ride::Comfortable, 0) => fractions()
+                .map(version(false))
+                .chain(slower.map(version(true)))
+                .collect(),
+            (Ride::Comfortable, _) => fractions()
+                .take(1)
+                .map(version(false))
+                .chain(slower.map(version(true)))
+                .collect(),
+        }
+    }
 
     /// Whether it moves along the path of the plan itself.
     pub fn is_on_own_path(self) -> bool {
@@ -108,29 +142,30 @@ pub struct Rollout {
 }
 
 impl IdmPlan {
-    /// The plan of `code` from the present state on, along `lanes`, with paths for roll-outs of
-    /// `horizon_s` seconds.
+    /// The plan of `code` from the present state on, along `lanes`, as all plans of its builder.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub fn new(
+    pub(super) fn new(
         scene: &SceneView<'_>,
         code: PlannerCode,
         lanes: LanePath,
         lead_agent: Option<TrackToken>,
-        lead_policy: LeadPolicy,
-        horizon_s: f64,
+        builder: &PlanBuilder,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, &code, &lanes, horizon_s, None)?;
+        let (paths, settled) = lay_paths(scene, &code, &lanes, builder.horizon_s, None)?;
+        let bends = bends(builder.ride, scene, &lanes, &paths);
         Ok(Self {
             code,
             lanes,
             lead_agent,
-            lead_policy,
+            lead_policy: builder.lead_policy,
+            ride: builder.ride,
             oncoming: None,
             stop_point: None,
             paths,
             settled,
+            bends,
         })
     }
 
@@ -157,9 +192,11 @@ impl IdmPlan {
             horizon_s,
             Some(active.settled),
         )?;
+        let bends = bends(self.ride, scene, &self.lanes, &paths);
         Ok(Self {
             paths,
             settled,
+            bends,
             ..self
         })
     }
@@ -207,10 +244,12 @@ impl IdmPlan {
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
         let (paths, settled) = lay_paths(scene, &self.code, &lanes, horizon_s, Some(self.settled))?;
+        let bends = bends(self.ride, scene, &lanes, &paths);
         Ok(Self {
             lanes,
             paths,
             settled,
+            bends,
             ..self.clone()
         })
     }
@@ -232,11 +271,10 @@ impl IdmPlan {
         scene: &SceneView<'_>,
         steps: usize,
     ) -> Vec<(Version, Rollout)> {
-        let mut rollouts = Vec::with_capacity(Version::COUNT);
+        let mut rollouts = Vec::new();
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
-            for fraction in SPEED_FRACTIONS.into_iter().rev() {
-                let version = Version { path, fraction };
+            for version in Version::along(path, self.ride) {
                 rollouts.push((version, self.roll_out_along(&road, version, scene, steps)));
             }
         }
@@ -291,6 +329,8 @@ impl IdmPlan {
         let mut progress = path.project(scene.ego.rear_axle.position()).s;
         let mut speed = scene.ego.velocity.x.max(0.0);
         let mut lead = None;
+        let is_smooth = self.ride == Ride::Comfortable && !version.is_brisk;
+        let mut smoothed = is_smooth.then(|| Smoothed::from_ego(scene.ego));
         let mut rollout = Rollout {
             poses: vec![path.smooth_pose_at(progress)],
             speeds: vec![speed],
@@ -299,10 +339,14 @@ impl IdmPlan {
             if step % LEAD_REFRESH == 0 {
                 lead = road.lead(progress, step as f64 * STEP_S);
             }
-            let accel = if target_velocity >= STANDSTILL {
-                idm.acceleration(speed, lead.map(|lead| lead.behind(progress)))
-            } else {
+            let behind = lead.map(|lead: LeadOnPath| lead.behind(progress));
+            let accel = if target_velocity < STANDSTILL {
                 -decel_max
+            } else if let Some(smoothed) = &mut smoothed {
+                smoothed.step(idm, &self.bends, (progress, speed), behind)
+            } else {
+                let at_most = self.bends.acceleration(progress, speed);
+                idm.acceleration(speed, behind).min(at_most)
             };
             progress += STEP_S * speed;
             speed = (speed + STEP_S * accel).max(0.0);
@@ -329,6 +373,23 @@ fn lay_paths(
         .map(|beside| onto_centerline(scene.ego, &lanes.centerline, (beside, length), settled));
     let on = on?;
     Ok(([on.path, right?.path, left?.path], on.settled))
+}
+
+/// The speeds that bends of the followed lanes allow, from the ego on.
+fn bends(
+    ride: Ride,
+    scene: &SceneView<'_>,
+    lanes: &LanePath,
+    paths: &[Polyline; LATERAL_OFFSETS.len()],
+) -> Bends {
+    match ride {
+        Ride::Idm => Bends::default(),
+        Ride::Comfortable => {
+            let line = &lanes.centerline;
+            let here = line.project(scene.ego.rear_axle.position()).s;
+            Bends::along(line, here, paths[0].length())
+        }
+    }
 }
 
 impl Rollout {

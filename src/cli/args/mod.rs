@@ -24,8 +24,8 @@ pub(super) use scenarios::{
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{
-    ALL_STUDIES, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind, OtherEngine,
-    StudyArguments,
+    ALL_STUDIES, BENCH_PROCESS, BenchArguments, BenchProcessArguments, DatasetArguments,
+    DatasetKind, OtherEngine, StudyArguments,
 };
 
 use super::help;
@@ -181,7 +181,7 @@ pub(super) enum Command {
     },
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
     #[command(name = BENCH_PROCESS, hide = true)]
-    BenchProcess(ModelArguments),
+    BenchProcess(BenchProcessArguments),
     /// The process that tries the files of a model: a request on stdin, what it tries and the
     /// outcome on stdout.
     #[command(name = TRIAL_PROCESS, hide = true)]
@@ -201,7 +201,7 @@ impl Command {
             Self::Bench(flags) => flags.model.flags(),
             Self::Models(command) => command.flags(),
             Self::Config(flags) => flags.model.flags(),
-            Self::BenchProcess(flags) => flags.flags(),
+            Self::BenchProcess(flags) => flags.model.flags(),
             Self::Report(_)
             | Self::Serve(_)
             | Self::Render(_)

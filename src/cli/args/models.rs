@@ -57,6 +57,13 @@ pub(crate) enum ModelsCommand {
         #[command(flatten)]
         network: NetworkArgument,
     },
+    /// List the families of models: what opens, in which formats, and an example.
+    #[command(after_long_help = help::MODELS_FAMILIES)]
+    Families {
+        /// Print the page docs/supported-models.md.
+        #[arg(long, conflicts_with = "json")]
+        markdown: bool,
+    },
     /// Write a model as GGUF, for a faster start and for llama.cpp.
     #[command(after_long_help = help::MODELS_QUANTIZE)]
     Quantize(QuantizeArguments),
@@ -94,7 +101,7 @@ impl ModelsCommand {
     /// What the options about models say.
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
-            Self::List { .. } => ModelFlags::default(),
+            Self::List { .. } | Self::Families { .. } => ModelFlags::default(),
             Self::Show { adapter, .. } => ModelFlags {
                 adapter: adapter.adapter.clone(),
                 ..ModelFlags::default()

@@ -11,6 +11,7 @@ use planagent_lab::dataset::imitation::ImitationPlanner;
 use planagent_lab::study_runs::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 /// Word for every study.
@@ -212,11 +213,22 @@ pub(crate) struct BenchArguments {
         hide_short_help = true
     )]
     pub(crate) calls: Vec<String>,
+    /// Sides of the drawn image, pixels, separated by commas [default: that of the model].
+    ///
+    /// Only towers that take any size, those of Qwen-VL, have a choice. A larger image has more
+    /// tokens.
+    #[arg(
+        long,
+        value_name = "PIXELS",
+        value_delimiter = ',',
+        hide_short_help = true
+    )]
+    pub(crate) image_size: Vec<NonZeroU32>,
     /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters
     /// are accepted.
     #[arg(long, hide_short_help = true)]
     pub(crate) speculation: bool,
-    /// Compare with another engine on the same GGUF files, in alternation.
+    /// Compare with another engine on the same files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(crate) vs: Option<OtherEngine>,
     /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`,
@@ -243,4 +255,18 @@ pub(crate) enum OtherEngine {
     /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,
+    /// candle-transformers' own llama, qwen2, qwen3 and gemma3, for language models in folders and
+    /// GGUF files.
+    #[value(name = "candle")]
+    Candle,
+}
+
+/// Arguments of the process in which `bench` measures.
+#[derive(Debug, Args)]
+pub(crate) struct BenchProcessArguments {
+    /// Compute with candle's decoders.
+    #[arg(long)]
+    pub(crate) candle: bool,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
 }

@@ -7,7 +7,8 @@ use crate::{Exit, Printer, again, interrupt};
 use anyhow::{Context, bail};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
 use planagent_lab::bench::{
-    BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve,
+    BenchSettings, CallBudget, Candidate, LlamaCpp, Other, Progress, run as measure, serve,
+    serve_candle,
 };
 use planagent_lab::report::{
     BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table,
@@ -19,6 +20,7 @@ use planagent_runs::report::{ReportError, check_writable, stamp};
 use planagent_runs::runner::{Config, build_commit, cpu, memory, model_registry};
 use serde_json::{Map, Value, json};
 use std::io;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
@@ -56,7 +58,10 @@ pub(crate) fn run(
         .into_iter()
         .filter(|candidate| !folder.done().contains(candidate.name.as_str()))
         .collect();
-    if flags.vs.is_some() {
+    if flags.vs == Some(OtherEngine::Candle) && config.mllm.quantize.is_some() {
+        bail!("--vs candle reads the files as they are; leave out --quantize");
+    }
+    if flags.vs == Some(OtherEngine::LlamaCpp) {
         let weights = flags
             .weights
             .clone()
@@ -72,7 +77,7 @@ pub(crate) fn run(
         seed: config.seed,
         weight_format: config.mllm.quantize,
         speculation: flags.speculation,
-        versus: llama_cpp(flags),
+        versus: other_engine(flags),
     };
     crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
@@ -154,12 +159,14 @@ fn advise(folder: &BenchFolder, printer: Printer) -> anyhow::Result<()> {
 }
 
 /// The measuring process; runs until stdin ends.
-pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    serve(
-        &model_registry(config, &listener(printer)),
-        io::stdin().lock(),
-        io::stdout().lock(),
-    )?;
+pub(crate) fn process(candle: bool, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let registry = model_registry(config, &listener(printer));
+    let (requests, replies) = (io::stdin().lock(), io::stdout().lock());
+    if candle {
+        serve_candle(&registry, requests, replies)?;
+    } else {
+        serve(&registry, requests, replies)?;
+    }
     Ok(Exit::Success)
 }
 
@@ -210,6 +217,7 @@ fn candidates(
             &sets,
         ));
     }
+    let all = of_sizes(all, &flags.image_size);
     for (index, candidate) in all.iter().enumerate() {
         if all
             .iter()
@@ -279,8 +287,28 @@ fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate
         weights: name.replace(['/', '\\'], "-"),
         model: model.clone(),
         prompts: *prompts,
+        image_size: None,
     };
     sets.iter().map(candidate).collect()
+}
+
+/// Each model once for each size of its image; its name says which, where there are several.
+fn of_sizes(all: Vec<Candidate>, sizes: &[NonZeroU32]) -> Vec<Candidate> {
+    if sizes.is_empty() {
+        return all;
+    }
+    let sized = |candidate: &Candidate, size: NonZeroU32| Candidate {
+        name: if sizes.len() > 1 {
+            format!("{} {size} px", candidate.name)
+        } else {
+            candidate.name.clone()
+        },
+        image_size: Some(size.get()),
+        ..candidate.clone()
+    };
+    all.iter()
+        .flat_map(|candidate| sizes.iter().map(|size| sized(candidate, *size)))
+        .collect()
 }
 
 /// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
@@ -311,35 +339,27 @@ fn as_gguf(
              and name that file"
         );
     }
-    let pair = |decoder: &Path, projector: &Path| {
-        let files = GgufPair {
-            decoder: decoder.to_owned(),
-            projector: projector.to_owned(),
-        };
-        Candidate {
-            model: ModelChoice::Gguf(files),
-            ..candidate.clone()
-        }
+    let files = |decoder: PathBuf, projector: Option<PathBuf>| Candidate {
+        model: ModelChoice::Gguf(GgufPair { decoder, projector }),
+        ..candidate.clone()
     };
-    if let ModelPlace::Gguf {
-        model,
-        mmproj: Some(mmproj),
-    } = &place
+    // With a format that is asked for, both engines read a new file in it.
+    if config.mllm.quantize.is_none()
+        && let Some((decoder, projector)) = place.decoder_and_tower()?
     {
-        return Ok(pair(model, mmproj));
+        return Ok(files(decoder, projector));
     }
     // Both engines must read the same numbers.
     let Some(weight_format) = config.mllm.quantize else {
         bail!(
-            "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"
+            "--vs needs --quantize, or a model of GGUF files, because both engines must read the same files"
         );
     };
     let decoder = folder.join(format!(
         "{}-{weight_format}-seed-{}.gguf",
         candidate.weights, config.seed
     ));
-    let projector = GgufPart::Tower.path(&decoder);
-    if !decoder.is_file() || !projector.is_file() {
+    if !decoder.is_file() {
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -348,24 +368,32 @@ fn as_gguf(
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }
-    if !projector.is_file() {
+    let tower = GgufPart::Tower.path(&decoder);
+    let written = ModelPlace::Gguf {
+        model: decoder,
+        mmproj: tower.is_file().then_some(tower),
+    };
+    let Some((decoder, projector)) = written.decoder_and_tower()? else {
         bail!(
-            "cannot compare {}: llama.cpp's file format does not support its vision tower",
+            "cannot compare {}: llama.cpp's file format has no place for a part of it",
             candidate.name
         );
-    }
-    Ok(pair(&decoder, &projector))
+    };
+    Ok(files(decoder, projector))
 }
 
-/// llama.cpp, if the flags ask for it.
-fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
-    flags.vs.map(|OtherEngine::LlamaCpp| {
-        let python = flags
-            .llama_python
-            .clone()
-            .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
-        LlamaCpp {
-            python: python.unwrap_or_else(|| "python3".into()),
+/// The engine to compare with, if the flags name one.
+fn other_engine(flags: &BenchArguments) -> Option<Other> {
+    flags.vs.map(|engine| match engine {
+        OtherEngine::Candle => Other::Candle,
+        OtherEngine::LlamaCpp => {
+            let python = flags
+                .llama_python
+                .clone()
+                .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
+            Other::LlamaCpp(LlamaCpp {
+                python: python.unwrap_or_else(|| "python3".into()),
+            })
         }
     })
 }
@@ -382,7 +410,7 @@ fn metadata(
             let budget = CallBudget::for_prompts(candidate.prompts);
             Ok((
                 candidate.name.clone(),
-                json!({"model": &candidate.model, "budget": budget}),
+                json!({"model": &candidate.model, "budget": budget, "image_size": candidate.image_size}),
             ))
         })
         .collect::<anyhow::Result<_>>()?;
@@ -394,7 +422,8 @@ fn metadata(
         "seed": config.seed,
         "adapter": config.mllm.adapter,
         "quantize": config.mllm.quantize,
-        "vs_llama_cpp": flags.vs.is_some(),
+        "vs_llama_cpp": flags.vs == Some(OtherEngine::LlamaCpp),
+        "vs_candle": flags.vs == Some(OtherEngine::Candle),
         "speculation": flags.speculation,
     });
     let Value::Object(settings) = settings else {

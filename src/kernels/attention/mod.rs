@@ -10,6 +10,7 @@
 )]
 
 mod biased;
+mod frequencies;
 mod key_values;
 mod mask;
 mod probe;
@@ -22,14 +23,15 @@ mod unit;
 mod tests;
 
 pub use biased::PackedKeyValues;
+pub use frequencies::{frequencies, frequency_factors};
 pub use key_values::{KeyValues, Precision};
 pub use mask::AttentionMask;
 #[doc(hidden)]
 pub use probe::AttentionProbe;
 pub use projected::{HeadShape, Projected};
-pub use rope::{Rope, RopeScaling, RotarySections};
-pub use rotary::Position;
-pub use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
+pub use rope::{Rope, RopeScaling, RotarySections, Yarn};
+pub use rotary::{Position, position_end};
+pub use rotary::{RotaryEmbedding, RotaryRows};
 
 use super::matrix::Instructions;
 use candle_core::{Device, Tensor};

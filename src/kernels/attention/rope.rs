@@ -53,4 +53,42 @@ pub enum RopeScaling {
         /// Context of the first training.
         original_context: f64,
     },
+    /// `YaRN`: low frequencies are divided, high ones kept, and the scores of attention grow.
+    Yarn(Yarn),
+    /// Beyond the training's context the base grows with the prompt (`dynamic`).
+    Dynamic {
+        /// How fast the base grows.
+        factor: f64,
+        /// Context of the training.
+        original_context: f64,
+    },
+}
+
+/// Settings of `YaRN` (B. Peng et al., arXiv:2309.00071).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Yarn {
+    /// Divisor of low frequencies.
+    pub factor: f64,
+    /// Context of the first training.
+    pub original_context: f64,
+    /// Frequencies that turn more often within that context are kept.
+    pub beta_fast: f64,
+    /// Frequencies that turn less often within that context are divided.
+    pub beta_slow: f64,
+    /// Whether the two borders are whole pairs.
+    pub truncate: bool,
+    /// Factor of queries and keys (`attention_factor`).
+    pub attention: f64,
+}
+
+impl Yarn {
+    /// The factor of queries and keys that the paper advises for a divisor of frequencies, times
+    /// `weight` above 1 (`get_mscale` in transformers).
+    pub fn advised_attention(factor: f64, weight: f64) -> f64 {
+        if factor <= 1.0 {
+            1.0
+        } else {
+            0.1 * weight * factor.ln() + 1.0
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! Rotary position embeddings.
 
+use super::frequencies::{extended, frequencies, magnitude};
 use super::rope::{Rope, RopeScaling, RotarySections};
 
 /// A position on three axes: time, height, width. Text, and families with one position a token,
@@ -11,6 +12,7 @@ pub type Position = [u32; 3];
 pub struct RotaryEmbedding {
     pairs: Vec<Pair>,
     context: usize,
+    rope: Rope,
 }
 
 /// Two channels of a head that are rotated together.
@@ -44,6 +46,13 @@ impl Turn {
             sin: angle.sin(),
         }
     }
+
+    fn scaled(self, factor: f32) -> Self {
+        Self {
+            cos: self.cos * factor,
+            sin: self.sin * factor,
+        }
+    }
 }
 
 impl RotaryEmbedding {
@@ -61,6 +70,18 @@ impl RotaryEmbedding {
         Self {
             pairs: pairs.collect(),
             context,
+            rope: *rope,
+        }
+    }
+
+    /// The length that the angles of a prompt depend on which ends before position `end`: 0 within
+    /// the context of the training, and where no prompt changes the frequencies.
+    pub fn length(&self, end: usize) -> usize {
+        match self.rope.scaling {
+            RopeScaling::Dynamic {
+                original_context, ..
+            } if end as f64 > original_context => end,
+            _ => 0,
         }
     }
 
@@ -76,11 +97,12 @@ impl RotaryEmbedding {
         self
     }
 
-    /// The angles of positions.
+    /// The angles of positions in a prompt that ends before position `end`; a row behind it ends
+    /// the prompt itself.
     ///
     /// # Errors
     /// When a position is outside the context, or a factor not positive.
-    pub fn rows(&self, positions: &[Position]) -> candle_core::Result<RotaryRows> {
+    pub fn rows(&self, positions: &[Position], end: usize) -> candle_core::Result<RotaryRows> {
         if let Some(pair) = self
             .pairs
             .iter()
@@ -88,22 +110,44 @@ impl RotaryEmbedding {
         {
             candle_core::bail!("rope_freqs.weight: the factor of pair {pair} is not positive");
         }
+        let magnitude = magnitude(&self.rope);
         let mut angles = Vec::with_capacity(positions.len() * self.pairs.len());
+        let (mut length, mut pairs) = (0, self.pairs.clone());
         for position in positions {
             if position.iter().any(|axis| *axis as usize >= self.context) {
                 candle_core::bail!("position {position:?} is outside the context");
             }
-            angles.extend(
-                self.pairs
-                    .iter()
-                    .map(|pair| Turn::by(position[pair.axis] as f32 * pair.frequency)),
-            );
+            let needed = self.length(end.max(position_end(position)));
+            if needed != length {
+                (length, pairs) = (needed, self.pairs_of_length(needed));
+            }
+            angles.extend(pairs.iter().map(|pair| {
+                Turn::by(position[pair.axis] as f32 * pair.frequency).scaled(magnitude)
+            }));
         }
         Ok(RotaryRows {
             angles,
             pairs: self.pairs.len(),
         })
     }
+
+    /// The pairs for a prompt of this length, as [`Self::length`] gives it.
+    fn pairs_of_length(&self, length: usize) -> Vec<Pair> {
+        if length == 0 {
+            return self.pairs.clone();
+        }
+        let extended = frequencies(
+            &extended(&self.rope, 2 * self.pairs.len(), length),
+            2 * self.pairs.len(),
+        );
+        let with = |(pair, frequency): (&Pair, f32)| Pair { frequency, ..*pair };
+        self.pairs.iter().zip(extended).map(with).collect()
+    }
+}
+
+/// The position behind all axes of a position.
+pub fn position_end(position: &Position) -> usize {
+    position.iter().max().map_or(0, |last| *last as usize + 1)
 }
 
 /// The axis of a pair (`apply_multimodal_rotary_pos_emb` and `apply_interleaved_mrope` in
@@ -179,75 +223,9 @@ impl RotaryRows {
     }
 }
 
-/// Angle per position of each pair of channels, rounded to f32 as in transformers.
-fn frequencies(rope: &Rope, head_dim: usize) -> Vec<f32> {
-    (0..head_dim / 2)
-        .map(|pair| {
-            let base = 1.0 / rope.theta.powf(2.0 * pair as f64 / head_dim as f64);
-            scaled(base, rope.scaling) as f32
-        })
-        .collect()
-}
-
-/// The divisor of each pair's frequency, where a configuration scales them one by one (Llama 3.1).
-pub fn frequency_factors(rope: &Rope, head_dim: usize) -> Option<Vec<f32>> {
-    matches!(rope.scaling, RopeScaling::Llama3 { .. }).then(|| {
-        let unscaled = frequencies(
-            &Rope {
-                scaling: RopeScaling::None,
-                ..*rope
-            },
-            head_dim,
-        );
-        unscaled
-            .iter()
-            .zip(frequencies(rope, head_dim))
-            .map(|(unscaled, scaled)| unscaled / scaled)
-            .collect()
-    })
-}
-
-/// Scaling of one frequency (`ROPE_INIT_FUNCTIONS` in transformers).
-fn scaled(frequency: f64, scaling: RopeScaling) -> f64 {
-    match scaling {
-        RopeScaling::None => frequency,
-        RopeScaling::Linear { factor } => frequency / factor,
-        RopeScaling::Llama3 {
-            factor,
-            low_freq_factor,
-            high_freq_factor,
-            original_context,
-        } => {
-            let wavelength = 2.0 * std::f64::consts::PI / frequency;
-            if wavelength > original_context / low_freq_factor {
-                frequency / factor
-            } else if wavelength < original_context / high_freq_factor {
-                frequency
-            } else {
-                let smooth = (original_context / wavelength - low_freq_factor)
-                    / (high_freq_factor - low_freq_factor);
-                (1.0 - smooth) * frequency / factor + smooth * frequency
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn frequencies_fall_from_one_by_the_base() {
-        let rope = Rope {
-            theta: 10_000.0,
-            scaling: RopeScaling::None,
-            sections: None,
-        };
-        let frequencies = frequencies(&rope, 8);
-        for (frequency, expected) in frequencies.iter().zip([1.0, 0.1, 0.01, 0.001]) {
-            assert!((frequency - expected).abs() < 1e-7);
-        }
-    }
 
     #[test]
     fn sections_share_the_pairs_among_three_axes() {
@@ -275,58 +253,41 @@ mod tests {
     }
 
     #[test]
-    fn factors_of_frequencies_scale_as_the_configuration() {
-        let scaling = RopeScaling::Llama3 {
-            factor: 8.0,
-            low_freq_factor: 1.0,
-            high_freq_factor: 4.0,
-            original_context: 8192.0,
-        };
-        let rope = Rope {
-            theta: 500_000.0,
-            scaling,
-            sections: None,
-        };
-        let factors = frequency_factors(&rope, 128).unwrap();
-        assert!(
-            (factors[0] - 1.0).abs() < 1e-6 && (factors[63] - 8.0).abs() < 1e-4,
-            "{factors:?}"
-        );
-        let plain = Rope {
-            scaling: RopeScaling::None,
-            ..rope
-        };
-        let divided = RotaryEmbedding::new(&plain, 128, 2048).divided_by(&factors);
-        for (found, expected) in divided
-            .pairs
-            .iter()
-            .zip(&RotaryEmbedding::new(&rope, 128, 2048).pairs)
-        {
-            assert!((found.frequency / expected.frequency - 1.0).abs() < 1e-6);
+    fn factors_divide_frequencies_and_must_be_positive() {
+        let plain = RotaryEmbedding::new(&Rope::default(), 8, 64);
+        let factors = [1.0, 2.0, 4.0, 8.0];
+        let divided = RotaryEmbedding::new(&Rope::default(), 8, 64).divided_by(&factors);
+        for ((found, plain), factor) in divided.pairs.iter().zip(&plain.pairs).zip(factors) {
+            assert!((found.frequency * factor / plain.frequency - 1.0).abs() < 1e-6);
         }
-        assert!(divided.rows(&[[3; 3]]).is_ok());
-        assert!(
-            RotaryEmbedding::new(&plain, 128, 2048)
-                .divided_by(&[0.0])
-                .rows(&[[3; 3]])
-                .is_err()
-        );
-        assert!(frequency_factors(&plain, 128).is_none());
+        assert!(divided.rows(&[[3; 3]], 0).is_ok());
+        assert!(plain.divided_by(&[0.0]).rows(&[[3; 3]], 0).is_err());
     }
 
     #[test]
-    fn llama3_keeps_high_and_divides_low_frequencies() {
-        let scaling = RopeScaling::Llama3 {
-            factor: 8.0,
-            low_freq_factor: 1.0,
-            high_freq_factor: 4.0,
-            original_context: 8192.0,
+    fn a_row_of_a_prompt_turns_by_the_length_of_the_prompt() {
+        let rope = Rope {
+            scaling: RopeScaling::Dynamic {
+                factor: 2.0,
+                original_context: 16.0,
+            },
+            ..Rope::default()
         };
-        assert!((scaled(1.0, scaling) - 1.0).abs() < 1e-12);
-        assert!((scaled(1e-5, scaling) - 1.25e-6).abs() < 1e-12);
-        // torch: _compute_llama3_parameters at wavelength 4096: smooth = (2 - 1) / 3.
-        let middle = 2.0 * std::f64::consts::PI / 4096.0;
-        let expected = middle * (2.0 / 3.0 / 8.0 + 1.0 / 3.0);
-        assert!((scaled(middle, scaling) - expected).abs() < 1e-12);
+        let table = RotaryEmbedding::new(&rope, 8, 64);
+        assert_eq!([0, 16, 17].map(|end| table.length(end)), [0, 0, 17]);
+        let second = |position: u32, end| {
+            let rows = table.rows(&[[position; 3]], end).unwrap();
+            rows.angles[1].sin
+        };
+        let sine = |position: u32, length: f64| {
+            let base = 10_000.0 * (2.0 * length / 16.0 - 1.0).powf(8.0 / 6.0);
+            (f64::from(position) / base.powf(0.25)).sin() as f32
+        };
+        for (position, end, length) in [(3, 0, 16.0), (3, 16, 16.0), (3, 40, 40.0)] {
+            assert!((second(position, end) - sine(position, length)).abs() < 1e-6);
+        }
+        // A token behind the prompt ends it itself.
+        assert!((second(30, 20) - sine(30, 31.0)).abs() < 1e-6);
+        assert!((second(30, 40) - sine(30, 40.0)).abs() < 1e-6);
     }
 }

@@ -316,7 +316,7 @@ fn shapes_that_do_not_fit_are_errors() {
     });
     let context = 2048;
     let table = RotaryEmbedding::new(&Rope::default(), 16, context);
-    assert!(table.rows(&[[0, context as u32, 0]]).is_err());
-    let angles = table.rows(&[[0; 3], [1; 3]]).unwrap();
+    assert!(table.rows(&[[0, context as u32, 0]], 0).is_err());
+    let angles = table.rows(&[[0; 3], [1; 3]], 0).unwrap();
     assert!(Projected::read(&rows, shape, Some(&angles), |_| Ok(())).is_err());
 }

@@ -15,6 +15,8 @@ pub enum EngineName {
     PlanAgent,
     #[serde(rename = "llama.cpp")]
     LlamaCpp,
+    #[serde(rename = "candle")]
+    Candle,
 }
 
 impl fmt::Display for EngineName {
@@ -22,6 +24,7 @@ impl fmt::Display for EngineName {
         out.write_str(match self {
             Self::PlanAgent => "planagent",
             Self::LlamaCpp => "llama.cpp",
+            Self::Candle => "candle",
         })
     }
 }
@@ -54,8 +57,9 @@ pub struct Engine {
 
 /// Maximum characters of an invalid reply in an error.
 const MAX_SHOWN: usize = 200;
-/// Longest reply, bytes. The times of all steps of a call take a few kilobytes.
-const MAX_REPLY_BYTES: u64 = 4 << 20;
+/// Longest reply, bytes. The times of all steps of a call take a few kilobytes, the logits of the
+/// largest vocabularies some megabytes.
+const MAX_REPLY_BYTES: u64 = 32 << 20;
 
 impl Engine {
     /// Starts a process that reads requests and writes replies. It shares our stderr.
@@ -96,6 +100,18 @@ impl Engine {
         match self.ask(&Request::Run(steps))? {
             Reply::Ran(times) if times.len() == count => Ok(times),
             other => Err(self.invalid(&format!("{other:?}"))),
+        }
+    }
+
+    /// The logits behind a prompt, and the likeliest tokens that follow it.
+    pub fn answer(
+        &mut self,
+        prompt: Vec<u32>,
+        count: usize,
+    ) -> Result<(Vec<f32>, Vec<u32>), EngineError> {
+        match self.ask(&Request::Answer { prompt, count })? {
+            Reply::Answered { logits, tokens } if tokens.len() == count => Ok((logits, tokens)),
+            _ => Err(self.invalid("another reply than an answer")),
         }
     }
 

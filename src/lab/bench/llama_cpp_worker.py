@@ -88,7 +88,10 @@ class Model:
         self.vocabulary = llama_cpp.llama_vocab_n_tokens(llama_cpp.llama_model_get_vocab(self.model))
         self.length = 0
         self.pending = []
-        self.load_vision(files["projector"], request["threads"], request["like"]["image_side"])
+        self.side = self.image_tokens = 0
+        self.vision, self.features = None, []
+        if files["projector"]:
+            self.load_vision(files["projector"], request["threads"], request["like"]["image_side"])
         self.load_s = (now_ms() - start) / 1e3
 
     def quieten(self):
@@ -157,6 +160,8 @@ class Model:
         return [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
 
     def encode(self):
+        if not self.vision:
+            return
         api = self.vision_api
         self.preprocess()
         self.features = []

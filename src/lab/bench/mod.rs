@@ -1,10 +1,12 @@
 //! The cost of a planning call, for each model, also compared with llama.cpp.
 //!
 //! Each model has its own process ([`Engine`]), so that its peak memory is its own. The process is
-//! this program ([`serve`]) or Python with llama.cpp ([`LlamaCpp`]). Both use the same [`protocol`]
-//! and run the same [`Step`](planagent_mllm::Step)s of a [`Workload`].
+//! this program, with its own kernels ([`serve`]) or candle's decoders ([`serve_candle`]), or Python
+//! with llama.cpp ([`LlamaCpp`]). All use the same [`protocol`] and run the same [`Step`](planagent_mllm::Step)s of a [`Workload`].
 
+mod agreement;
 mod budget;
+mod candle;
 mod engine;
 mod llama_cpp;
 pub mod protocol;
@@ -13,6 +15,7 @@ mod run;
 mod serve;
 mod workload;
 
+pub use agreement::Agreement;
 pub(crate) use budget::DRAFTED;
 #[cfg(test)]
 pub(crate) use budget::Layout;
@@ -20,6 +23,6 @@ pub use budget::{AnswerPart, CallBudget, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use llama_cpp::LlamaCpp;
 pub use row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
-pub use run::{BenchSettings, Candidate, Progress, run};
-pub use serve::serve;
+pub use run::{BenchSettings, Candidate, Other, Progress, run};
+pub use serve::{serve, serve_candle};
 pub use workload::Workload;

@@ -11,6 +11,11 @@ pub enum Request {
     /// The first request.
     Load(LoadRequest),
     Run(Vec<Step>),
+    /// Computes a prompt alone and continues it with the likeliest tokens.
+    Answer {
+        prompt: Vec<u32>,
+        count: usize,
+    },
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -20,6 +25,9 @@ pub struct LoadRequest {
     /// Weight format of the matrices; `None` for that of the files.
     pub weight_format: Option<WeightFormat>,
     pub threads: usize,
+    /// Side of the image that is drawn for the model, pixels; `None` for the model's own.
+    #[serde(default)]
+    pub image_size: Option<u32>,
     /// Sizes of the other engine's run; `None` for the model's own.
     pub like: Option<Like>,
     /// Seed of random weights and of the prompt tokens.
@@ -47,13 +55,13 @@ pub enum ModelChoice {
     Gguf(GgufPair),
 }
 
-/// The two files of a model for llama.cpp.
+/// The files of a model for llama.cpp.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GgufPair {
     pub decoder: PathBuf,
-    /// Vision tower and projector.
-    pub projector: PathBuf,
+    /// Vision tower and projector; none for a model that reads text alone.
+    pub projector: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,6 +70,11 @@ pub enum Reply {
     Loaded(Loaded),
     /// The time of each step.
     Ran(Vec<StepTime>),
+    /// The logits behind the prompt, and the tokens.
+    Answered {
+        logits: Vec<f32>,
+        tokens: Vec<u32>,
+    },
     Failed(String),
 }
 
@@ -74,6 +87,9 @@ pub struct Loaded {
     /// Side of the square image, pixels.
     pub image_side: u32,
     pub image_tokens: usize,
+    /// Number of token ids; 0 where the engine does not say.
+    #[serde(default)]
+    pub vocabulary: usize,
     /// Maximum tokens of a sequence, image included.
     pub context: usize,
     pub layout: Layout,

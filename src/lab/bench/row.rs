@@ -1,5 +1,6 @@
 //! The rows of a benchmark's results.
 
+use super::agreement::Agreement;
 use super::engine::EngineName;
 use super::protocol::Loaded;
 use planagent_mllm::{PassTime, Step, StepTime};
@@ -11,6 +12,8 @@ pub enum Row {
     Iteration(IterationRow),
     /// An engine finished a model.
     Model(ModelRow),
+    /// How near two engines are.
+    Agreement(Agreement),
     Failed(FailedRow),
 }
 
@@ -54,6 +57,7 @@ impl Row {
         match self {
             Self::Iteration(row) => &row.model,
             Self::Model(row) => &row.model,
+            Self::Agreement(row) => &row.model,
             Self::Failed(row) => &row.model,
         }
     }

@@ -1,5 +1,6 @@
 //! The benchmark loop: one model after the other, engines in alternation.
 
+use super::agreement::Agreement;
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
@@ -7,6 +8,8 @@ use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
 use planagent_mllm::{PromptSet, WeightFormat};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use std::process::Command;
 
 /// A model to measure.
@@ -19,6 +22,8 @@ pub struct Candidate {
     pub model: ModelChoice,
     /// The prompt set that determines the token counts of its calls.
     pub prompts: PromptSet,
+    /// Side of its image, pixels; none for that of the model.
+    pub image_size: Option<u32>,
 }
 
 #[derive(Debug)]
@@ -35,9 +40,37 @@ pub struct BenchSettings {
     /// Whether this program also measures calls with drafts, of which a quarter, half and three
     /// quarters are accepted.
     pub speculation: bool,
-    /// llama.cpp, to compare with. It requires that all models are GGUF files.
-    pub versus: Option<LlamaCpp>,
+    /// The engine to compare with.
+    pub versus: Option<Other>,
 }
+
+/// Another engine on the same files.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Other {
+    /// It requires that all models are GGUF files.
+    LlamaCpp(LlamaCpp),
+    /// candle-transformers' own decoders, in a process of this program that runs
+    /// [`serve_candle`](super::serve_candle).
+    Candle,
+}
+
+impl Other {
+    fn start(&self, program: &dyn Fn() -> Command) -> Result<Engine, EngineError> {
+        match self {
+            Self::LlamaCpp(llama_cpp) => {
+                Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())
+            }
+            Self::Candle => Engine::start(EngineName::Candle, program().arg(CANDLE)),
+        }
+    }
+}
+
+/// The option of the measuring process that makes it compute with candle's decoders.
+const CANDLE: &str = "--candle";
+/// Lengths of the prompts that two engines answer, tokens.
+const PROMPTS: [usize; 4] = [1, 16, 64, 200];
+/// Tokens of an answer that are compared.
+const ANSWER: usize = 16;
 
 #[derive(Debug, Clone, Copy)]
 pub enum Progress<'a> {
@@ -102,9 +135,9 @@ impl Bench<'_> {
         let mut engines = Vec::new();
         match &self.settings.versus {
             None => engines.push(self.load(self.own()?, None)?),
-            Some(llama_cpp) => {
+            Some(other) => {
                 let ours = self.load(self.own()?, None)?;
-                let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
+                let theirs = other.start(self.program)?;
                 let Loaded {
                     context,
                     image_side,
@@ -119,15 +152,18 @@ impl Bench<'_> {
                 )?;
                 // llama.cpp reports these for the decoder only; the files are the same.
                 theirs.loaded.parameters = ours.loaded.parameters;
-                theirs
-                    .loaded
-                    .weight_format
-                    .clone_from(&ours.loaded.weight_format);
+                if theirs.engine.name() == EngineName::LlamaCpp {
+                    let format = ours.loaded.weight_format.clone();
+                    theirs.loaded.weight_format = format;
+                }
                 engines.extend([ours, theirs]);
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
         }
         let mut rows = Vec::new();
+        if self.settings.versus == Some(Other::Candle) {
+            rows.push(Row::Agreement(self.agreement(&mut engines)?));
+        }
         for workload in &workloads {
             match (Self::misfit(workload, &engines), workload) {
                 (None, _) => {}
@@ -173,6 +209,34 @@ impl Bench<'_> {
         Ok(rows)
     }
 
+    /// Compares the answers of two engines to prompts of random tokens.
+    fn agreement(&self, engines: &mut [Ready]) -> Result<Agreement, EngineError> {
+        let [ours, theirs] = engines else {
+            let problem = "there is no other engine".to_owned();
+            return Err(EngineError::Failed {
+                engine: EngineName::PlanAgent,
+                problem,
+            });
+        };
+        let vocabulary = ours.loaded.vocabulary.min(theirs.loaded.vocabulary).max(1) as u32;
+        let context = ours.loaded.context.min(theirs.loaded.context);
+        let mut words = Pcg64Mcg::seed_from_u64(self.settings.seed);
+        let mut pairs = Vec::new();
+        for length in PROMPTS {
+            if length + ANSWER > context {
+                continue;
+            }
+            let prompt: Vec<u32> = (0..length)
+                .map(|_| words.random_range(0..vocabulary))
+                .collect();
+            let own = ours.engine.answer(prompt.clone(), ANSWER)?;
+            pairs.push((own, theirs.engine.answer(prompt, ANSWER)?));
+        }
+        let engine = theirs.engine.name();
+        Agreement::of(&self.candidate.name, engine, &pairs)
+            .map_err(|problem| EngineError::Failed { engine, problem })
+    }
+
     fn own(&self) -> Result<Engine, EngineError> {
         Engine::start(EngineName::PlanAgent, &mut (self.program)())
     }
@@ -190,6 +254,7 @@ impl Bench<'_> {
             model,
             weight_format,
             threads,
+            image_size: self.candidate.image_size,
             like,
             seed,
         })?;

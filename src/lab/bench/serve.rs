@@ -1,10 +1,66 @@
 //! The measuring process of this program.
 
 use super::budget::Layout;
+use super::candle::{CandleError, CandleProbe};
 use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
-use planagent_mllm::{LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
+use planagent_mllm::{
+    LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape, Step, StepTime,
+};
+use std::fmt::Display;
 use std::io::{self, BufRead, Write};
 use std::time::Instant;
+
+/// A model whose steps are timed.
+trait Probe: Sized {
+    type Error: Display;
+
+    fn open(registry: &ModelRegistry, request: &LoadRequest)
+    -> Result<(Loaded, Self), Self::Error>;
+
+    fn run(&mut self, step: Step) -> Result<StepTime, Self::Error>;
+
+    fn answer(&mut self, prompt: &[u32], count: usize)
+    -> Result<(Vec<f32>, Vec<u32>), Self::Error>;
+}
+
+impl Probe for LatencyProbe {
+    type Error = MllmError;
+
+    fn open(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Self), MllmError> {
+        load(registry, request)
+    }
+
+    fn run(&mut self, step: Step) -> Result<StepTime, MllmError> {
+        self.run(step)
+    }
+
+    fn answer(&mut self, prompt: &[u32], count: usize) -> Result<(Vec<f32>, Vec<u32>), MllmError> {
+        self.answer(prompt, count)
+    }
+}
+
+impl Probe for CandleProbe {
+    type Error = CandleError;
+
+    fn open(
+        registry: &ModelRegistry,
+        request: &LoadRequest,
+    ) -> Result<(Loaded, Self), CandleError> {
+        Self::open(registry, request)
+    }
+
+    fn run(&mut self, step: Step) -> Result<StepTime, CandleError> {
+        self.run(step)
+    }
+
+    fn answer(
+        &mut self,
+        prompt: &[u32],
+        count: usize,
+    ) -> Result<(Vec<f32>, Vec<u32>), CandleError> {
+        self.answer(prompt, count)
+    }
+}
 
 /// Answers requests until the input ends.
 ///
@@ -13,9 +69,29 @@ use std::time::Instant;
 pub fn serve(
     registry: &ModelRegistry,
     requests: impl BufRead,
+    replies: impl Write,
+) -> io::Result<()> {
+    serve_with::<LatencyProbe>(registry, requests, replies)
+}
+
+/// As [`serve`], with candle's decoders.
+///
+/// # Errors
+/// When a reply cannot be written. Any other failure is a reply.
+pub fn serve_candle(
+    registry: &ModelRegistry,
+    requests: impl BufRead,
+    replies: impl Write,
+) -> io::Result<()> {
+    serve_with::<CandleProbe>(registry, requests, replies)
+}
+
+fn serve_with<P: Probe>(
+    registry: &ModelRegistry,
+    requests: impl BufRead,
     mut replies: impl Write,
 ) -> io::Result<()> {
-    let mut probe = None;
+    let mut probe: Option<P> = None;
     for line in requests.lines() {
         let reply = match serde_json::from_str(&line?) {
             Ok(request) => answer(registry, &mut probe, request)
@@ -28,14 +104,14 @@ pub fn serve(
     Ok(())
 }
 
-fn answer(
+fn answer<P: Probe>(
     registry: &ModelRegistry,
-    probe: &mut Option<LatencyProbe>,
+    probe: &mut Option<P>,
     request: Request,
-) -> Result<Reply, MllmError> {
+) -> Result<Reply, P::Error> {
     Ok(match (request, probe) {
         (Request::Load(request), probe) => {
-            let (loaded, opened) = load(registry, &request)?;
+            let (loaded, opened) = P::open(registry, &request)?;
             *probe = Some(opened);
             Reply::Loaded(loaded)
         }
@@ -45,7 +121,13 @@ fn answer(
                 .map(|step| probe.run(step))
                 .collect::<Result<_, _>>()?,
         ),
-        (Request::Run(_), None) => Reply::Failed("no model is loaded".into()),
+        (Request::Answer { prompt, count }, Some(probe)) => {
+            let (logits, tokens) = probe.answer(&prompt, count)?;
+            Reply::Answered { logits, tokens }
+        }
+        (Request::Run(_) | Request::Answer { .. }, None) => {
+            Reply::Failed("no model is loaded".into())
+        }
     })
 }
 
@@ -55,7 +137,7 @@ fn load(
 ) -> Result<(Loaded, LatencyProbe), MllmError> {
     let start = Instant::now();
     let registry = registry.clone().with_quantize(request.weight_format);
-    let (place, loading) = match &request.model {
+    let (place, mut loading) = match &request.model {
         ModelChoice::Named(name) => {
             let spec = registry.find(name)?;
             (registry.place(&spec)?, registry.loading(&spec)?)
@@ -68,13 +150,17 @@ fn load(
             (place, registry.plain_loading())
         }
         ModelChoice::Gguf(GgufPair { decoder, projector }) => {
-            let place = ModelPlace::Gguf {
-                model: decoder.clone(),
-                mmproj: Some(projector.clone()),
+            let place = match projector {
+                Some(projector) => ModelPlace::Gguf {
+                    model: decoder.clone(),
+                    mmproj: Some(projector.clone()),
+                },
+                None => ModelPlace::Decoder(decoder.clone()),
             };
             (place, registry.plain_loading())
         }
     };
+    loading.image.size = request.image_size.or(loading.image.size);
     let probe = LatencyProbe::open(&place, &loading, request.seed)?;
     let load_s = start.elapsed().as_secs_f64();
     let (model, image_tokens) = (probe.model(), probe.image_tokens()?);
@@ -84,6 +170,7 @@ fn load(
         weight_format: probe.weight_format().to_string(),
         image_side: info.image_size.map_or(0, |side| side as u32),
         image_tokens,
+        vocabulary: info.vocabulary,
         context: model.context(image_tokens),
         layout: if info.image_first {
             Layout::ImageFirst

@@ -23,6 +23,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
     "latency-aware",
     "recorded",
     "interactive",
+    "ceilings",
     "agents",
 ];
 

@@ -26,6 +26,8 @@ pub(super) const DIGEST: usize = 12;
 /// The cell of a model whose weights are not on this machine.
 const NO_WEIGHTS: &str = "no weights";
 
+/// The cell of an agent whose prompts are longer than the context of the model.
+const SHORT_CONTEXT: &str = "short context";
 /// The cell of a learned planner without a checkpoint.
 const NO_CHECKPOINT: &str = "no checkpoint";
 
@@ -82,12 +84,17 @@ impl<'a> PlannedRuns<'a> {
         }
         let (registry, commands) = self.registry_for(variant)?;
         let entry = registry.find(commands.planners.keys().next().unwrap_or(&variant.planner))?;
-        let (planner, needs) = (entry.name, entry.needs);
+        let (planner, needs, least) = (entry.name, entry.needs, entry.least_context());
         let loaded = match needs {
             needs if needs != PlannerNeeds::Model => None,
             _ if !self.has_weights(&config)? => return Ok(Err(NO_WEIGHTS)),
             _ => Some(self.model(&config)?.with_prompts(&config)?),
         };
+        // A server does not say how long its context is.
+        let context = loaded.as_ref().map_or(0, |loaded| loaded.about.context);
+        if context > 0 && context < least {
+            return Ok(Err(SHORT_CONTEXT));
+        }
         let agent = model::agent_parts(&config, registry, loaded.as_ref());
         let challenges = challenges_of(&suite.name);
         let named = challenges.iter().map(ToString::to_string).collect();

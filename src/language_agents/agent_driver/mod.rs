@@ -13,7 +13,7 @@ pub use fill::experience;
 
 use crate::agent::{LanguageAgent, Reply};
 use crate::chat::{Asked, Chat};
-use crate::gpt_driver::{action, thoughts};
+use crate::gpt_driver::{action, reasons};
 use crate::memory::{ExperienceItem, Memory};
 use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, waypoint_grammar};
 use check::checked;
@@ -44,8 +44,8 @@ const TEXTS: [(&str, &str); 9] = texts![
     "tools.jinja",
     "experience_system.jinja",
     "experience.jinja",
-    "thoughts_system.jinja",
-    "thoughts.jinja",
+    "reasoning_system.jinja",
+    "reasoning.jinja",
     "planning_system.jinja",
     "planning.jinja"
 ];
@@ -53,7 +53,7 @@ const TEXTS: [(&str, &str); 9] = texts![
 const WORD_TOKENS: usize = 8;
 /// Maximum tokens of a call of a tool.
 const CALL_TOKENS: usize = 64;
-/// Objects that thoughts may name under the grammar, the nearest.
+/// Objects that reasons may name under the grammar, the nearest.
 const NAMED_OBJECTS: usize = 12;
 /// The name of the last stage in records.
 const CHECK: &str = "collision_check";
@@ -65,7 +65,7 @@ pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
 
 /// The motion block of a scene, and what a tool of each kind tells.
 pub fn agent_driver_text(GraphedScene { scene, graph }: GraphedScene<'_>) -> String {
-    let facts = Facts::of(scene);
+    let facts = Facts::from_scene(scene);
     let told = [
         (Group::Detection, "objects_around()"),
         (Group::Prediction, "futures_in_area(-20, 20, -20, 20)"),
@@ -225,8 +225,8 @@ impl LanguageAgent for AgentDriver {
         Observation {
             text: ego.text(),
             ego,
-            motion: Motion::of(scene.ego),
-            facts: Facts::of(scene),
+            motion: Motion::from_ego(scene.ego),
+            facts: Facts::from_scene(scene),
         }
     }
 
@@ -242,7 +242,7 @@ impl LanguageAgent for AgentDriver {
         let mut errors = Vec::new();
         let facts = self.perceive(observation, chat)?.join("\n\n");
         let experience = self.recall(observation, chat, &mut errors)?;
-        let Some(thoughts) = self.think(observation, &facts, chat)? else {
+        let Some(reasons) = self.think(observation, &facts, chat)? else {
             return Ok(Reply::none());
         };
         let plan = Asked {
@@ -253,7 +253,7 @@ impl LanguageAgent for AgentDriver {
                     ego => &observation.text,
                     facts => facts,
                     experience => experience,
-                    thoughts => thoughts,
+                    reasons => reasons,
                 },
             )?,
             constraint: Constraint::Sequence(vec![
@@ -300,14 +300,14 @@ impl LanguageAgent for AgentDriver {
 }
 
 impl AgentDriver {
-    /// Thoughts about what matters, and what to do.
+    /// Reasons about what matters, and what to do.
     fn think(
         &self,
         observation: &Observation<'_>,
         facts: &str,
         chat: &mut Chat<'_>,
     ) -> Result<Option<String>, ReasoningError> {
-        chat.open(self.prompts.render("thoughts_system", context! {})?)?;
+        chat.open(self.prompts.render("reasoning_system", context! {})?)?;
         let names: Vec<String> = observation
             .facts
             .names()
@@ -315,14 +315,14 @@ impl AgentDriver {
             .take(NAMED_OBJECTS)
             .collect();
         chat.ask(Asked {
-            round: RoundName::Thoughts,
+            round: RoundName::Reasoning,
             prompt: self.prompts.render(
-                "thoughts",
+                "reasoning",
                 context! { ego => &observation.text, facts => facts },
             )?,
             constraint: Constraint::Sequence(vec![
-                text("Thoughts: "),
-                thoughts(&names),
+                text("Reasons: "),
+                reasons(&names),
                 text("\nPlan: "),
                 action(),
             ]),

@@ -41,7 +41,7 @@ pub(crate) struct SetPoints {
 
 impl SetPoints {
     /// Those of an ego that goes on as it is.
-    pub(super) fn of(GraphedScene { scene, graph }: GraphedScene<'_>) -> Self {
+    pub(super) fn at(GraphedScene { scene, graph }: GraphedScene<'_>) -> Self {
         let lane = graph.ego_lane();
         Self {
             lane: lane.path.lane_at(lane.ego_s),

@@ -63,7 +63,7 @@ pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
 
 /// The description of a scene, with the set-points of an ego that goes on as it is.
 pub fn dilu_text(seen: GraphedScene<'_>) -> String {
-    description(seen, &SetPoints::of(seen))
+    description(seen, &SetPoints::at(seen))
 }
 
 /// DiLu.
@@ -93,7 +93,7 @@ impl Dilu {
     pub(crate) fn set_points_in(&self, seen: GraphedScene<'_>) -> SetPoints {
         match self.set_points {
             Some(set) => set.tracked(seen.scene),
-            None => SetPoints::of(seen),
+            None => SetPoints::at(seen),
         }
     }
 }

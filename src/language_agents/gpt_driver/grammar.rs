@@ -1,4 +1,4 @@
-//! The grammar of GPT-Driver's answer: thoughts, action, trajectory.
+//! The grammar of GPT-Driver's answer: reasons, action, trajectory.
 
 use crate::waypoints::{Motion, any_of, text, waypoint_grammar};
 use planagent_mllm::Constraint;
@@ -26,8 +26,8 @@ const SPEEDS: [&str; 6] = [
 /// The whole answer: up to two objects that matter, an action, six waypoints.
 pub(super) fn answer(objects: &[String], motion: Motion) -> Constraint {
     Constraint::Sequence(vec![
-        text("Thoughts: "),
-        thoughts(objects),
+        text("Reasons: "),
+        reasons(objects),
         text("\nAction: "),
         action(),
         text("\nTrajectory: "),
@@ -36,7 +36,7 @@ pub(super) fn answer(objects: &[String], motion: Motion) -> Constraint {
 }
 
 /// The objects that matter with the time of the conflict.
-pub(crate) fn thoughts(objects: &[String]) -> Constraint {
+pub(crate) fn reasons(objects: &[String]) -> Constraint {
     if objects.is_empty() {
         return text("none");
     }

@@ -1,5 +1,5 @@
 //! GPT-Driver (Mao et al. 2023): motion planning as writing. The model gets objects, motion and
-//! goal in coordinates, writes a short chain of thought, and six waypoints.
+//! goal in coordinates, writes a short chain of reasons, and six waypoints.
 //!
 //! What differs from the original stands in docs/agents.md.
 
@@ -9,7 +9,7 @@ use crate::agent::{LanguageAgent, Reply};
 use crate::chat::{Asked, Chat};
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
-pub(crate) use grammar::{action, thoughts};
+pub(crate) use grammar::{action, reasons};
 use minijinja::context;
 use planagent_agent::environment::GraphedScene;
 use planagent_agent::environment::coordinates::{GptDriverText, seen_objects};
@@ -33,7 +33,7 @@ const TEXTS: [(&str, &str); 2] = [
         include_str!("../../../prompts/gpt_driver/question.jinja"),
     ),
 ];
-/// Objects of a scene that a chain of thought may name, the nearest.
+/// Objects of a scene that a chain of reasons may name, the nearest.
 const NAMED_OBJECTS: usize = 12;
 
 /// The prompts of this agent.
@@ -89,7 +89,7 @@ impl LanguageAgent for GptDriver {
         let nearest = objects.into_iter().take(NAMED_OBJECTS);
         Observation {
             text: GptDriverText::from_scene(scene, graph),
-            motion: Motion::of(scene.ego),
+            motion: Motion::from_ego(scene.ego),
             objects: nearest.map(|(_, name)| name).collect(),
         }
     }

@@ -23,7 +23,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    pub(crate) fn of(ego: &EgoState) -> Self {
+    pub(crate) fn from_ego(ego: &EgoState) -> Self {
         let velocity = ego.center_velocity();
         Self {
             right: -velocity.y,

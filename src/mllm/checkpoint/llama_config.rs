@@ -5,10 +5,10 @@ use super::config::{
 };
 use super::decoder_type::DecoderType;
 use super::gemma_config::GemmaConfig;
-use super::rope_config::read_rope;
+use super::rope_config::{ReadRope, read_rope};
 use super::weights::Weights;
 use crate::MllmError;
-use planagent_kernels::attention::{Rope, RotarySections};
+use planagent_kernels::attention::{Rope, RopeScaling, RotarySections, frequencies};
 use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
@@ -42,7 +42,8 @@ pub struct LlamaConfig {
     /// Width of a head. The default is the hidden width divided by the heads.
     #[serde(deserialize_with = "count")]
     pub head_dim: usize,
-    /// Positions that the decoder was trained for.
+    /// Positions that a chat may have: those of the training, or those that its rotary embedding is
+    /// lengthened to.
     #[serde(rename = "max_position_embeddings", deserialize_with = "count")]
     pub context: usize,
     #[serde(deserialize_with = "positive")]
@@ -95,7 +96,7 @@ impl Default for LlamaConfig {
 }
 
 /// Longest context, positions: beyond it a configuration is taken for broken.
-const MAX_CONTEXT: usize = 1 << 20;
+pub(super) const MAX_CONTEXT: usize = 1 << 20;
 /// Widest head. Published ones have up to 512 channels.
 const MAX_HEAD: usize = 1 << 12;
 /// Most heads and most layers. Published decoders have up to 128 of each.
@@ -119,7 +120,10 @@ impl LlamaConfig {
         let mut config: Self = text.read()?;
         // First, because the width of a head may follow from it.
         check_ranges(&text, &[("num_attention_heads", config.heads, MAX_LAYERS)])?;
-        config.rope = read_rope(&text, kind, config.context)?;
+        let context = [("max_position_embeddings", config.context, MAX_CONTEXT)];
+        check_ranges(&text, &context)?;
+        let ReadRope { rope, context } = read_rope(&text, kind, config.context)?;
+        (config.rope, config.context) = (rope, context);
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
         }
@@ -177,7 +181,6 @@ impl LlamaConfig {
                 ("num_hidden_layers", self.layers, MAX_LAYERS),
                 (KV_HEADS, self.kv_heads, MAX_LAYERS),
                 ("head_dim", self.head_dim, MAX_HEAD),
-                ("max_position_embeddings", self.context, MAX_CONTEXT),
             ],
         )?;
         check_width(text, "num_attention_heads", self.heads, self.head_dim)
@@ -214,6 +217,20 @@ impl LlamaConfig {
                 head_dim / 2
             );
             return Err(("mrope_section", problem));
+        }
+        let usable = |frequency: &f32| frequency.is_finite() && *frequency > 0.0;
+        if !frequencies(&self.rope, *head_dim).iter().all(usable) {
+            let problem = format!(
+                "{} gives no usable frequencies for heads of {head_dim} channels",
+                self.rope.theta
+            );
+            return Err(("rope_theta", problem));
+        }
+        if let RopeScaling::Dynamic { .. } = self.rope.scaling
+            && *head_dim < 4
+        {
+            let problem = format!("{head_dim} is too narrow for a dynamic base; 4 is the least");
+            return Err(("head_dim", problem));
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 15] = [
+const DECODER: [(&str, &str); 19] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -18,6 +18,16 @@ const DECODER: [(&str, &str); 15] = [
     ("rope_scaling.factor", "rope.scaling.factor"),
     ("rope_scaling.type", "rope.scaling.type"),
     ("rope_scaling.mrope_section", "rope.dimension_sections"),
+    (
+        "rope_scaling.original_max_position_embeddings",
+        "rope.scaling.original_context_length",
+    ),
+    ("rope_scaling.beta_fast", "rope.scaling.yarn_beta_fast"),
+    ("rope_scaling.beta_slow", "rope.scaling.yarn_beta_slow"),
+    (
+        "rope_scaling.attention_factor",
+        "rope.scaling.yarn_attn_factor",
+    ),
     ("sliding_window_pattern", "attention.sliding_window_pattern"),
     ("sliding_window", "attention.sliding_window"),
     ("rope_local_base_freq", "rope.freq_base_swa"),

@@ -4,7 +4,7 @@ use super::config::ConfigObject;
 use super::decoder_type::DecoderType;
 use super::neutral::Neutral;
 use crate::MllmError;
-use planagent_kernels::attention::{Rope, RopeScaling, RotarySections};
+use planagent_kernels::attention::{Rope, RopeScaling, RotarySections, Yarn};
 use serde::Deserialize;
 
 #[derive(Deserialize)]
@@ -13,20 +13,28 @@ enum RopeType {
     Default,
     Linear,
     Llama3,
+    Yarn,
     /// Longer contexts than in training change the base; within it, this is the default.
     Dynamic,
     /// The default with sections.
     Mrope,
 }
 
+/// A rotary embedding, and the positions that it is meant for.
+pub(super) struct ReadRope {
+    pub rope: Rope,
+    /// Positions that a chat may have.
+    pub context: usize,
+}
+
 /// Reads `rope_scaling` (before transformers 5) or `rope_parameters`, with `rope_theta` in it or
 /// beside it. Of two, transformers takes the first unless it is empty. `context` is the number of
-/// positions of the training.
+/// positions in the configuration.
 pub(super) fn read_rope(
     text: &ConfigObject<'_>,
     kind: DecoderType,
     context: usize,
-) -> Result<Rope, MllmError> {
+) -> Result<ReadRope, MllmError> {
     let by_layer = (kind == DecoderType::Gemma3)
         .then(|| layer_rope(text, "full_attention"))
         .transpose()?
@@ -53,7 +61,12 @@ pub(super) fn read_rope(
         "type"
     };
     let scaling = match section.value(rope_type)?.unwrap_or(RopeType::Default) {
-        RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
+        RopeType::Default | RopeType::Mrope => RopeScaling::None,
+        RopeType::Dynamic => RopeScaling::Dynamic {
+            factor: required("factor")?,
+            original_context: context as f64,
+        },
+        RopeType::Yarn => RopeScaling::Yarn(read_yarn(text, &section, context as f64)?),
         RopeType::Linear => RopeScaling::Linear {
             factor: required("factor")?,
         },
@@ -66,6 +79,10 @@ pub(super) fn read_rope(
     };
     let beside = text.positive("rope_theta")?.unwrap_or_else(|| kind.theta());
     let theta = section.positive("rope_theta")?.unwrap_or(beside);
+    if matches!(scaling, RopeScaling::Yarn(_)) && theta <= 1.0 {
+        let problem = format!("{theta} is too small for yarn; it must be above 1");
+        return Err(section.error("rope_theta", problem));
+    }
     let lengths: Option<[usize; 3]> = section.value("mrope_section")?;
     let sections = lengths
         .or_else(|| kind.sections())
@@ -73,11 +90,72 @@ pub(super) fn read_rope(
             lengths,
             interleaved: kind.interleaved(),
         });
-    Ok(Rope {
+    let rope = Rope {
         theta,
         scaling,
         sections,
+    };
+    Ok(ReadRope {
+        context: lengthened(scaling, context),
+        rope,
     })
+}
+
+/// Largest factor by which a context is lengthened. Published ones are at most 64.
+const MAX_FACTOR: f64 = 65_536.0;
+
+/// Reads the keys of `YaRN`.
+fn read_yarn(
+    text: &ConfigObject<'_>,
+    section: &ConfigObject<'_>,
+    context: f64,
+) -> Result<Yarn, MllmError> {
+    let original = original_context(text, section)?;
+    let original_context = original.unwrap_or(context);
+    // Without a factor it is the ratio of the contexts, as in files of DeepSeek.
+    let factor = match (section.positive("factor")?, original) {
+        (Some(factor), _) => factor,
+        (None, Some(original)) => context / original,
+        (None, None) => return Err(section.error("factor", "is missing for this rope_type")),
+    };
+    let attention = match section.positive("attention_factor")? {
+        Some(attention) => attention,
+        None => match (
+            section.positive("mscale")?,
+            section.positive("mscale_all_dim")?,
+        ) {
+            (Some(above), Some(below)) => {
+                Yarn::advised_attention(factor, above) / Yarn::advised_attention(factor, below)
+            }
+            _ => Yarn::advised_attention(factor, 1.0),
+        },
+    };
+    let yarn = Yarn {
+        factor,
+        original_context,
+        beta_fast: section.positive("beta_fast")?.unwrap_or(32.0),
+        beta_slow: section.positive("beta_slow")?.unwrap_or(1.0),
+        truncate: section.value("truncate")?.unwrap_or(true),
+        attention,
+    };
+    for (key, number) in [
+        ("factor", factor),
+        ("attention_factor", attention),
+        ("beta_fast", yarn.beta_fast),
+    ] {
+        if number > MAX_FACTOR {
+            let problem = format!("expected a number of at most {MAX_FACTOR}, found {number}");
+            return Err(section.error(key, problem));
+        }
+    }
+    if yarn.beta_slow > yarn.beta_fast {
+        let problem = format!(
+            "{} is larger than beta_fast, {}",
+            yarn.beta_slow, yarn.beta_fast
+        );
+        return Err(section.error("beta_slow", problem));
+    }
+    Ok(yarn)
 }
 
 /// The rotary embedding of the local layers of a Gemma 3.
@@ -118,4 +196,19 @@ fn original_context(
 ) -> Result<Option<f64>, MllmError> {
     const KEY: &str = "original_max_position_embeddings";
     Ok(text.positive(KEY)?.or(section.positive(KEY)?))
+}
+
+/// Positions that a chat may have: `YaRN` and a dynamic base are meant for more than those of the
+/// training, and published configurations name these (Qwen2.5's card, `InternVL3`).
+fn lengthened(scaling: RopeScaling, context: usize) -> usize {
+    let meant = match scaling {
+        RopeScaling::Yarn(yarn) => yarn.factor * yarn.original_context,
+        RopeScaling::Dynamic {
+            factor,
+            original_context,
+        } => factor * original_context,
+        RopeScaling::None | RopeScaling::Linear { .. } | RopeScaling::Llama3 { .. } => 0.0,
+    };
+    // A cast of a float keeps to the range of the target.
+    context.max((meant as usize).min(super::llama_config::MAX_CONTEXT))
 }

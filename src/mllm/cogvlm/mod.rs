@@ -18,8 +18,8 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel};
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage, Positions,
-    Tiles, VisionLanguageModel,
+    About, ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage,
+    Positions, Tiles, VisionLanguageModel,
 };
 use super::text::ChatTokenizer;
 use chat::QuestionFormat;
@@ -41,6 +41,12 @@ pub(crate) const FAMILY: Family = Family {
                         under tokenizer in the model's description)",
     decoder_config: |files| Ok(CogVlmConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(CogVlm::take(weights, CogVlmConfig::open(files)?)?)),
+    about: About {
+        models: "CogVLM, first version",
+        gguf: &[],
+        tested: "its own code: tests/fixtures/tiny_cogvlm",
+        example: "cogvlm-chat-17b",
+    },
 };
 
 /// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands

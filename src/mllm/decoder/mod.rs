@@ -47,6 +47,9 @@ pub struct DecoderInput {
     pub rows: Tensor,
     /// Position of each row for the rotary embedding.
     pub positions: Vec<Position>,
+    /// The position behind the prompt that the rows belong to. A rotary embedding whose base grows
+    /// with the prompt turns all its rows by this length; rows behind it by their own.
+    pub prompt_end: usize,
     /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
     /// Added to the hidden states after the first layers, one for each: (tokens, hidden).
@@ -88,6 +91,13 @@ pub trait LanguageModel {
     /// drafted.
     fn exact_pass(&self) -> usize {
         1
+    }
+
+    /// The length that the keys of a prompt depend on which ends before position `end`; 0 where
+    /// they do not. Keys that were computed for another length are of no use.
+    fn rotary_length(&self, end: usize) -> usize {
+        let _ = end;
+        0
     }
 }
 
@@ -163,6 +173,10 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         self.layers.iter().map(L::exact_pass).min().unwrap_or(1)
     }
 
+    fn rotary_length(&self, end: usize) -> usize {
+        self.rotary.length(end)
+    }
+
     fn forward(
         &self,
         input: &DecoderInput,
@@ -173,11 +187,11 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         cache.check_room(tokens)?;
         let mut pass = Pass {
             layer: 0,
-            rotary: self.rotary.rows(&input.positions)?,
+            rotary: self.rotary.rows(&input.positions, input.prompt_end)?,
             local_rotary: self
                 .local_rotary
                 .as_ref()
-                .map(|rotary| rotary.rows(&input.positions))
+                .map(|rotary| rotary.rows(&input.positions, input.prompt_end))
                 .transpose()?,
             vision: input.vision.clone(),
         };

@@ -13,6 +13,8 @@ mod header_tests;
 #[cfg(test)]
 mod odd_files_tests;
 #[cfg(test)]
+mod rope_scaling_tests;
+#[cfg(test)]
 mod round_trip_tests;
 #[cfg(test)]
 mod stored_format_tests;

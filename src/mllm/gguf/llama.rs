@@ -5,7 +5,7 @@ use super::gemma;
 use super::header::Header;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
-use planagent_kernels::attention::RopeScaling;
+use planagent_kernels::attention::{RopeScaling, Yarn};
 use serde_json::{Value, json};
 
 /// The value of `general.architecture` of the decoders whose queries and keys have paired rows.
@@ -133,10 +133,11 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
                 config["rope_scaling"] = json!({"type": "linear", "factor": factor});
             }
         }
+        Some("yarn") => config["rope_scaling"] = yarn(header, &key)?,
         Some(other) => {
             return Err(header.error(
                 &key("rope.scaling.type"),
-                format!("'{other}' is not supported; linear is"),
+                format!("'{other}' is not supported; linear and yarn are"),
             ));
         }
     }
@@ -152,8 +153,34 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     Ok(config)
 }
 
+/// The `rope_scaling` of a decoder with `YaRN`. llama.cpp's converter writes transformers' keys
+/// under its own names; a factor that is left out is 1 there.
+fn yarn(header: &Header, key: &dyn Fn(&str) -> String) -> Result<Value, MllmError> {
+    let number = |name: &str| header.number_or_none(&key(&format!("rope.scaling.{name}")));
+    // 1 is its default. Others mix in what transformers does not know.
+    if let Some(mix) = number("yarn_ext_factor")?.filter(|mix| (mix - 1.0).abs() > 1e-6) {
+        let problem = format!("{mix} is not supported; 1 is");
+        return Err(header.error(&key("rope.scaling.yarn_ext_factor"), problem));
+    }
+    let factor = number("factor")?.unwrap_or(1.0);
+    let scale = number("attn_factor")?.unwrap_or(1.0);
+    let named = number("yarn_attn_factor")?;
+    let attention = named.unwrap_or_else(|| Yarn::advised_attention(factor, 1.0)) * scale;
+    Ok(json!({
+        "type": "yarn",
+        "factor": factor,
+        "original_max_position_embeddings": number("original_context_length")?,
+        "beta_fast": number("yarn_beta_fast")?,
+        "beta_slow": number("yarn_beta_slow")?,
+        "attention_factor": attention,
+    }))
+}
+
 /// The metadata that [`text_config`] reads, for a decoder of this architecture.
-pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Entries {
+///
+/// # Errors
+/// The part that llama.cpp has no key for.
+pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Result<Entries, &'static str> {
     let mut metadata = vec![
         ("vocab_size", json!(config.vocabulary)),
         ("embedding_length", json!(config.hidden)),
@@ -175,17 +202,35 @@ pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Entries {
         metadata.push(("attention.sliding_window", json!(window)));
     }
     match config.rope.scaling {
-        // A tensor has the factors of Llama 3.
-        RopeScaling::None | RopeScaling::Llama3 { .. } => {}
+        // A tensor has the factors of Llama 3. A dynamic base is that of the training up to its
+        // context, and llama.cpp has no other for it.
+        RopeScaling::None | RopeScaling::Llama3 { .. } | RopeScaling::Dynamic { .. } => {}
+        RopeScaling::Yarn(yarn) if !yarn.truncate => {
+            return Err("borders of YaRN between two pairs");
+        }
+        RopeScaling::Yarn(yarn) => {
+            let advised = Yarn::advised_attention(yarn.factor, 1.0);
+            metadata.extend([
+                ("rope.scaling.type", json!("yarn")),
+                ("rope.scaling.factor", json!(yarn.factor)),
+                (
+                    "rope.scaling.original_context_length",
+                    json!(yarn.original_context as u64),
+                ),
+                ("rope.scaling.yarn_beta_fast", json!(yarn.beta_fast)),
+                ("rope.scaling.yarn_beta_slow", json!(yarn.beta_slow)),
+                ("rope.scaling.attn_factor", json!(yarn.attention / advised)),
+            ]);
+        }
         RopeScaling::Linear { factor } => {
             metadata.push(("rope.scaling.type", json!("linear")));
             metadata.push(("rope.scaling.factor", json!(factor)));
         }
     }
-    metadata
+    Ok(metadata
         .into_iter()
         .map(|(key, value)| (format!("{architecture}.{key}"), value))
-        .collect()
+        .collect())
 }
 
 /// The projection of a decoder layer that a tensor makes (`attn_q`, `attn_k`, ...), by its name in

@@ -96,9 +96,10 @@ const DECODER: &[(&str, Unread)] = &[
     ("rope.freq_base_swa", ZERO),
     ("rope.scaling.alpha", FACTOR),
     ("rope.scaling.attn_factor", FACTOR),
-    // Only YaRN uses these, and it is refused by its type.
+    // Only YaRN uses these, and then they are read.
     ("rope.scaling.original_context_length", NoEffect),
     ("rope.scaling.finetuned", NoEffect),
+    ("rope.scaling.yarn_log_multiplier", ZERO),
     ("rope.scaling.yarn_", NoEffect),
     // With the type `none`, or where the newer key stands beside it.
     ("rope.scaling.factor", NoEffect),

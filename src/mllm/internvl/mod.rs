@@ -14,7 +14,7 @@ mod reference_tests;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::family::{Family, ImageLayout};
+use super::family::{About, Family, ImageLayout};
 use super::tiled::{TiledFamily, TiledModel};
 use config::InternVlConfig;
 use names::canonical_name;
@@ -38,6 +38,16 @@ pub(crate) const FAMILY: Family = Family {
                         fits: copy it here, or name it under tokenizer in the model's description)",
     decoder_config: |files| Ok(InternVlConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(open(files, weights)?)),
+    about: About {
+        models: "InternVL 2.5, 3 and 3.5 up to 14B, with a Qwen or Llama decoder",
+        gguf: &[
+            ("qwen2", Some("internvl")),
+            ("qwen3", Some("internvl")),
+            ("llama", Some("internvl")),
+        ],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_internvl3",
+        example: "internvl3-1b",
+    },
 };
 
 /// An `InternVL`.

@@ -120,6 +120,35 @@ impl LatencyProbe {
         Ok(time)
     }
 
+    /// The logits behind a prompt, computed alone, and the likeliest tokens that follow it. The
+    /// sequence is empty afterwards.
+    pub fn answer(
+        &mut self,
+        prompt: &[u32],
+        count: usize,
+    ) -> Result<(Vec<f32>, Vec<u32>), MllmError> {
+        let mut time = StepTime::default();
+        self.sequence.begin(&*self.model, prompt, None);
+        self.sequence.truncate(0);
+        self.pending = prompt.to_vec();
+        let (mut first, mut tokens) = (Vec::new(), Vec::new());
+        while tokens.len() < count {
+            let logits = self.compute(Logits::Last, &mut time)?;
+            if tokens.is_empty() {
+                first = logits.as_ref().map_or_else(
+                    || Ok(Vec::new()),
+                    |logits| logits.flatten_all()?.to_vec1::<f32>(),
+                )?;
+            }
+            let token = self.choose(logits)?;
+            tokens.push(token);
+            self.pending = vec![token];
+        }
+        self.pending.clear();
+        self.sequence.truncate(0);
+        Ok((first, tokens))
+    }
+
     /// Computes the pending tokens.
     fn compute(
         &mut self,

@@ -70,7 +70,8 @@ pub struct StepTime {
 }
 
 impl StepTime {
-    pub(crate) fn add_pass(&mut self, tokens: usize, ms: f64) {
+    /// Adds a pass over so many tokens.
+    pub fn add_pass(&mut self, tokens: usize, ms: f64) {
         match tokens {
             0 => {}
             1 => self.single.add(1, ms),

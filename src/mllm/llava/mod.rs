@@ -19,7 +19,7 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, Tiles,
+    About, ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, Tiles,
     VisionLanguageModel,
 };
 use super::template_format::{ImageText, TemplateFormat};
@@ -43,6 +43,12 @@ pub(crate) const FAMILY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| Ok(LlavaConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(Llava::open(files, weights)?)),
+    about: About {
+        models: "LLaVA 1.5, also with a SigLIP tower or a Qwen 2 decoder",
+        gguf: &[("llama", Some("mlp"))],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_llava",
+        example: "llava-1.5-7b",
+    },
 };
 
 /// The names of all layouts that transformers has written, as those of its version 5 without the

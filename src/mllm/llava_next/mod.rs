@@ -15,7 +15,7 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel,
+    About, ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel,
 };
 use super::llava::{LlavaCore, LlavaGguf, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
@@ -53,6 +53,12 @@ pub(crate) const FAMILY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| Ok(LlavaNextConfig::open(files)?.llava.text),
     open: |files, weights| Ok(Box::new(LlavaNext::open(files, weights)?)),
+    about: About {
+        models: "LLaVA 1.6",
+        gguf: &[("llama", Some("mlp"))],
+        tested: "transformers: tests/fixtures/tiny_llava_next",
+        example: "llava-v1.6-vicuna-7b",
+    },
 };
 
 /// A LLaVA-NeXT model.

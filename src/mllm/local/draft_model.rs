@@ -79,16 +79,8 @@ impl Drafting {
         let limit = limit
             .min(MAX_DRAFT)
             .min(model.context(0).saturating_sub(text.len()));
-        let agree = self
-            .sequence
-            .ids()
-            .iter()
-            .zip(&text)
-            .take_while(|(a, b)| a == b)
-            .count();
-        self.sequence
-            .truncate(agree.min(text.len().saturating_sub(1)));
-        let mut next = text[self.sequence.ids().len()..].to_vec();
+        let kept = self.sequence.begin(model, &text, None);
+        let mut next = text[kept..].to_vec();
         let mut draft = Vec::new();
         while draft.len() < limit {
             let logits =

@@ -3,7 +3,7 @@
 use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
 use crate::checkpoint::MergedAdapter;
-use crate::family::ImageSettings;
+use crate::family::{ImageRange, ImageSettings};
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 
@@ -19,6 +19,8 @@ pub struct ModelOutline {
     pub image_size: Option<usize>,
     /// Tokens of that image; 0 without one.
     pub image_tokens: usize,
+    /// How many tokens an image may become; none where the tower decides.
+    pub image_range: Option<ImageRange>,
     /// Longest chat, tokens.
     pub context: usize,
     /// What is merged into its weights.
@@ -64,6 +66,7 @@ impl ModelOutline {
             parameters: info.parameters,
             image_size: info.image_size,
             image_tokens: tokens,
+            image_range: info.image_range,
             context: model.context(tokens),
             formats: formats
                 .map(|(weight_format, memory)| FormatOutline {

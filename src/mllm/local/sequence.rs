@@ -1,9 +1,10 @@
 //! The computed tokens of a chat.
 
 use crate::decoder::{DecoderInput, KvCache, Logits};
-use crate::family::{ImageFeatures, PlacedImage, Positions, VisionLanguageModel};
+use crate::family::{ImageFeatures, ImageLayout, PlacedImage, Positions, VisionLanguageModel};
 use crate::{Deadline, MllmError};
 use candle_core::Tensor;
+use planagent_kernels::attention::position_end;
 
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;
@@ -12,6 +13,11 @@ const MAX_TOKENS_IN_PASS: usize = 512;
 #[derive(Debug, Clone)]
 pub(crate) struct Sequence {
     ids: Vec<u32>,
+    /// For each token, the length that its keys were computed for
+    /// ([`LanguageModel::rotary_length`](crate::decoder::LanguageModel::rotary_length)).
+    lengths: Vec<usize>,
+    /// The position behind the prompt; 0 before the first.
+    prompt_end: usize,
     cache: KvCache,
 }
 
@@ -26,8 +32,36 @@ impl Sequence {
     pub(crate) fn new(model: &dyn VisionLanguageModel) -> Self {
         Self {
             ids: Vec::new(),
+            lengths: Vec::new(),
+            prompt_end: 0,
             cache: new_cache(model),
         }
+    }
+
+    /// Begins a prompt, whose image lies so in the chat. Keeps the computed tokens that it begins
+    /// with, without its last one, whose logits are needed, and gives their number.
+    pub(crate) fn begin(
+        &mut self,
+        model: &dyn VisionLanguageModel,
+        prompt: &[u32],
+        image: Option<ImageLayout>,
+    ) -> usize {
+        let image_token = model.info().image_token;
+        let first = prompt.iter().position(|id| *id == image_token);
+        let image = first
+            .zip(image)
+            .map(|(first, layout)| PlacedImage { first, layout });
+        let positions = model.positions(0..prompt.len(), image).rotary;
+        self.prompt_end = positions.iter().map(position_end).max().unwrap_or(0);
+        let length = model.decoder().rotary_length(self.prompt_end);
+        let known = self.ids.iter().zip(&self.lengths);
+        let agree = known
+            .zip(prompt)
+            .take_while(|((known, computed_for), id)| known == id && **computed_for == length)
+            .count();
+        let kept = agree.min(prompt.len().saturating_sub(1));
+        self.truncate(kept);
+        kept
     }
 
     pub(crate) fn ids(&self) -> &[u32] {
@@ -50,6 +84,9 @@ impl Sequence {
         let input = self.decoder_input(model, ids, features)?;
         let logits = model.decoder().forward(&input, &mut self.cache, wanted)?;
         self.ids.extend_from_slice(ids);
+        let length = |end: usize| model.decoder().rotary_length(end.max(input.prompt_end));
+        self.lengths
+            .extend(input.positions.iter().map(position_end).map(length));
         Ok(logits)
     }
 
@@ -147,6 +184,7 @@ impl Sequence {
         Ok(DecoderInput {
             rows: Tensor::cat(&rows, 0)?,
             positions: rotary,
+            prompt_end: self.prompt_end,
             vision,
             deep,
         })
@@ -164,6 +202,7 @@ impl Sequence {
     /// Drops the tokens from `len` on.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.ids.truncate(len);
+        self.lengths.truncate(len);
         self.cache.truncate(len);
     }
 }

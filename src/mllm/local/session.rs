@@ -252,10 +252,7 @@ impl LocalConversation<'_> {
                 context,
             });
         }
-        let agree = self.sequence.agree(&ids);
-        // The last token is always computed: its logits give the first token of the answer.
-        let cached = agree.min(ids.len().saturating_sub(1));
-        self.sequence.truncate(cached);
+        let cached = self.sequence.begin(&*local.model, &ids, self.image);
         let rest = &ids[cached..];
 
         let encode_start = Instant::now();

@@ -10,7 +10,7 @@ mod reference_tests;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::family::Family;
+use super::family::{About, Family};
 use super::qwen3_vl::{PatchModel, PatchProcessor, canonical_name};
 use config::Qwen25VlConfig;
 use vision::ImageEncoder;
@@ -26,6 +26,12 @@ pub(crate) const FAMILY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| Ok(Qwen25VlConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(open(files, weights)?)),
+    about: About {
+        models: "Qwen2.5-VL and its tunes",
+        gguf: &[("qwen2vl", Some("qwen2.5vl_merger"))],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_qwen2_5_vl",
+        example: "qwen2.5-vl-3b",
+    },
 };
 
 /// A Qwen2.5-VL.

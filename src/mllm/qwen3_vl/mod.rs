@@ -23,7 +23,7 @@ pub(crate) use patches::{PatchProcessor, take_patch_embedding};
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::family::Family;
+use super::family::{About, Family};
 use vision::ImageEncoder;
 
 const NAME: &str = "qwen3-vl";
@@ -37,6 +37,12 @@ pub(crate) const FAMILY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| Ok(Qwen3VlConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(open(files, weights)?)),
+    about: About {
+        models: "Qwen3-VL with a dense decoder",
+        gguf: &[("qwen3vl", Some("qwen3vl_merger"))],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_qwen3_vl",
+        example: "qwen3-vl-2b",
+    },
 };
 
 /// A Qwen3-VL.

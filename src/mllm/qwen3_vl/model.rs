@@ -54,7 +54,10 @@ impl<E: PatchEncoder> PatchModel<E> {
             side: DRAWN_SIDE,
             max_tokens: processor.max_tokens(),
         };
-        let info = ModelInfo::new(name, text, Some(image), weights, before);
+        let info = ModelInfo {
+            image_range: Some(processor.range()),
+            ..ModelInfo::new(name, text, Some(image), weights, before)
+        };
         Ok(Self {
             processor,
             encoder,

@@ -3,7 +3,7 @@
 
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, Neutral, Weights};
-use crate::family::{ImageLayout, ImageSettings, ModelInfo};
+use crate::family::{ImageLayout, ImageRange, ImageSettings, ModelInfo};
 use crate::vision::{Filter, PixelScale, check_not_empty, check_picture, read_processor, resize};
 use candle_core::Tensor;
 use image::RgbImage;
@@ -16,6 +16,10 @@ use serde_json::json;
 const MAX_RATIO: f64 = 200.0;
 /// Most pixels of an image: beyond it a configuration is taken for broken.
 const MAX_PIXELS: f64 = 268_435_456.0;
+
+/// Tokens of an image that Qwen's makers and llama.cpp advise at least where the model has to say
+/// where something stands.
+const ADVISED_TOKENS: usize = 1024;
 
 /// Resizes images to whole tokens within a number of pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -143,6 +147,18 @@ impl PatchProcessor {
             (info.image_size, info.max_image_tokens) = (Some(side as usize), layout.tokens);
         }
         Ok(())
+    }
+
+    /// How many tokens an image may become.
+    pub(crate) fn range(&self) -> ImageRange {
+        let [least, most] = self
+            .pixels
+            .map(|pixels| pixels / f64::from(self.token).powi(2));
+        ImageRange {
+            least: (least.ceil() as usize).max(1),
+            most: most as usize,
+            advised: ADVISED_TOKENS,
+        }
     }
 
     /// Bound of an image's tokens.

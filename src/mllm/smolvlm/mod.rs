@@ -12,7 +12,7 @@ mod reference_tests;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::family::Family;
+use super::family::{About, Family};
 use super::tiled::{TileEncoder, TiledFamily, TiledModel};
 use super::vision::{SiglipVisionTower, merge_blocks};
 use candle_core::Tensor;
@@ -37,6 +37,12 @@ pub(crate) const FAMILY: Family = Family {
     missing_tokenizer: "tokenizer.json",
     decoder_config: |files| Ok(SmolVlmConfig::open(files)?.text),
     open: |files, weights| Ok(Box::new(open(files, weights)?)),
+    about: About {
+        models: "SmolVLM, SmolVLM2, Idefics3",
+        gguf: &[("llama", Some("idefics3"))],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_smolvlm",
+        example: "smolvlm2-500m",
+    },
 };
 
 fn canonical_name(stored: &str) -> String {

@@ -17,7 +17,8 @@ use super::checkpoint::{LlamaConfig, ModelFiles, Weights, safetensors_folder};
 use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
 use super::gguf::{
-    decoder_files, files as gguf_files, find as find_gguf, open_model, packed_files,
+    WHOLE_MODEL, decoder_files, files as gguf_files, find as find_gguf, open_model, packed_files,
+    tower_for,
 };
 use planagent_kernels::matrix::WeightFormat;
 use std::path::{Path, PathBuf};
@@ -80,6 +81,32 @@ impl ModelPlace {
             Self::Decoder(_) => Ok(self),
             Self::Folder(_) | Self::Embedded(_) | Self::Random { .. } => Err(whole(self.path())),
         }
+    }
+
+    /// The GGUF files that llama.cpp opens too: the decoder, and its vision tower if it has one.
+    /// None for other files, and for a whole model in one file.
+    pub fn decoder_and_tower(&self) -> Result<Option<(PathBuf, Option<PathBuf>)>, MllmError> {
+        let (model, mmproj) = match self {
+            Self::Folder(folder) if !safetensors_folder::has_safetensors(folder) => {
+                match find_gguf(folder)? {
+                    Some(model) => (model, None),
+                    None => return Ok(None),
+                }
+            }
+            Self::Gguf { model, mmproj } => (model.clone(), mmproj.clone()),
+            Self::Decoder(model) => (model.clone(), None),
+            Self::Folder(_) | Self::Embedded(_) | Self::Random { .. } => return Ok(None),
+        };
+        let header = open_model(&model)?.0;
+        if header.architecture()? == WHOLE_MODEL {
+            return Ok(None);
+        }
+        let tower = if matches!(self, Self::Decoder(_)) {
+            None
+        } else {
+            tower_for(&header, mmproj.as_deref())?
+        };
+        Ok(Some((model, tower)))
     }
 
     /// Why there is nothing to open: the folder or the file of the decoder does not exist.

@@ -85,12 +85,12 @@ fn described(config: &LlamaConfig) -> Described {
         if config.attention_bias {
             return Err("biases of these projections");
         }
-        let mut metadata = llama::metadata(gemma::ARCHITECTURE, config);
+        let mut metadata = llama::metadata(gemma::ARCHITECTURE, config)?;
         metadata.extend(gemma::metadata(config)?);
         return Ok((gemma::ARCHITECTURE, metadata, None));
     }
     let architecture = architecture(config)?;
-    Ok((architecture, llama::metadata(architecture, config), None))
+    Ok((architecture, llama::metadata(architecture, config)?, None))
 }
 
 /// The architecture of a decoder in llama.cpp, or the part that none of them has a place for.

@@ -8,7 +8,7 @@ mod gemma_tests;
 
 use super::MllmError;
 use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles};
-use super::family::Family;
+use super::family::{About, Family};
 use gguf::TextGguf;
 use model::TextModel;
 
@@ -24,6 +24,12 @@ pub(crate) const LLAMA: Family = Family {
         let config = config(files, DecoderType::Llama)?;
         Ok(Box::new(TextModel::take(weights, "llama", &config)?))
     },
+    about: About {
+        models: "Llama, Mistral, SmolLM2",
+        gguf: &[("llama", None)],
+        tested: "transformers, llama.cpp: src/mllm/local/outside_tests.rs",
+        example: "HuggingFaceTB/SmolLM2-135M-Instruct",
+    },
 };
 
 /// Qwen 2 and 2.5, and the decoder of Qwen2.5-VL without its tower.
@@ -37,6 +43,12 @@ pub(crate) const QWEN2: Family = Family {
     open: |files, weights| {
         let config = config(files, DecoderType::Qwen2)?;
         Ok(Box::new(TextModel::take(weights, "qwen2", &config)?))
+    },
+    about: About {
+        models: "Qwen2 and Qwen2.5",
+        gguf: &[("qwen2", None)],
+        tested: "transformers, llama.cpp: src/mllm/local/outside_tests.rs",
+        example: "Qwen/Qwen2.5-0.5B-Instruct",
     },
 };
 
@@ -52,6 +64,12 @@ pub(crate) const QWEN3: Family = Family {
         let config = config(files, DecoderType::Qwen3)?;
         Ok(Box::new(TextModel::take(weights, "qwen3", &config)?))
     },
+    about: About {
+        models: "Qwen3 with a dense decoder",
+        gguf: &[("qwen3", None)],
+        tested: "transformers, llama.cpp: src/mllm/local/outside_tests.rs",
+        example: "Qwen/Qwen3-0.6B",
+    },
 };
 
 /// Gemma 3 without a vision tower.
@@ -65,6 +83,12 @@ pub(crate) const GEMMA3: Family = Family {
     open: |files, weights| {
         let config = config(files, DecoderType::Gemma3)?;
         Ok(Box::new(TextModel::take(weights, "gemma3_text", &config)?))
+    },
+    about: About {
+        models: "Gemma 3 without its tower",
+        gguf: &[("gemma3", None)],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_gemma3_text",
+        example: "google/gemma-3-270m-it",
     },
 };
 

@@ -57,6 +57,9 @@ pub struct CallRecord {
     /// Under a latency: the iteration at which the call's plan became active.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub active_from: Option<usize>,
+    /// Iterations until the next call in which a proposal of PDM-Closed drove; absent for none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub handovers: Option<usize>,
     /// The iteration at which a lane change was aborted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub aborted_lane_change: Option<usize>,
@@ -79,6 +82,9 @@ pub struct AttemptRecord {
     /// Where several lines were proposed: each, the likeliest first. The best one is the attempt's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub proposals: Vec<ProposalRecord>,
+    /// Whether its codes are those that the agent tries by itself after refusals; absent if not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_further: bool,
 }
 
 /// A line that an attempt proposed beside others.
@@ -264,6 +270,7 @@ impl CallRecord {
                     .collect(),
             },
             active_from: call.active_from,
+            handovers: Some(call.handovers).filter(|&count| count > 0),
             aborted_lane_change: call.aborted_lane_change,
         }
     }
@@ -303,6 +310,7 @@ impl AttemptRecord {
                 .iter()
                 .map(ProposalRecord::from_proposal)
                 .collect(),
+            is_further: !attempt.is_asked,
         }
     }
 }

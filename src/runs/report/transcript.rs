@@ -71,7 +71,12 @@ fn call_markdown(
         let _ = writeln!(text, "![BEV map]({image})\n");
     }
     for i in 0..call.attempts.len() {
-        let _ = writeln!(text, "### Attempt {}\n", i + 1);
+        let further = if call.attempts[i].is_asked {
+            ""
+        } else {
+            ": further codes, of the agent itself"
+        };
+        let _ = writeln!(text, "### Attempt {}{further}\n", i + 1);
         text.push_str(&attempt_markdown(&call.attempts, i));
     }
     let _ = writeln!(
@@ -87,6 +92,14 @@ fn call_markdown(
             text,
             "Lane change aborted at {:.1} s.\n",
             seconds(iteration)
+        );
+    }
+    if call.handovers > 0 {
+        let _ = writeln!(
+            text,
+            "A proposal of PDM-Closed drove in {} iterations, because it scored more than the plan, which scored less than \
+             the threshold.\n",
+            call.handovers
         );
     }
     if call.emergency_brakes > 0 {

@@ -24,6 +24,10 @@ pub enum NotNamed {
         "the checkpoint of this run is '{file}', which a run never opens by itself; if you want it, name it again:\n  {line}"
     )]
     Checkpoint { file: String, line: String },
+    #[error(
+        "the memory of this run is '{file}', which a run never opens by itself; if you want it, name it again:\n  {line}"
+    )]
+    Memory { file: String, line: String },
 }
 
 /// The folder of the run that a configuration comes from, and the keys that nobody named since.
@@ -83,11 +87,33 @@ impl OfRun {
         })
     }
 
+    /// Refuses memories that only the run names; `memories` are keys with their files.
+    pub(super) fn check_memories<'a>(
+        &self,
+        memories: impl Iterator<Item = (&'a str, &'a str)>,
+    ) -> Result<(), NotNamed> {
+        let unnamed: Vec<(&str, &str)> = memories
+            .filter(|(key, _)| self.unnamed.contains(*key))
+            .collect();
+        let Some((_, first)) = unnamed.first() else {
+            return Ok(());
+        };
+        let options: Vec<[String; 2]> = unnamed
+            .iter()
+            .map(|(key, file)| of_memory(key, file))
+            .collect();
+        Err(NotNamed::Memory {
+            file: (*first).to_owned(),
+            line: self.line(&options),
+        })
+    }
+
     /// The options that resume a run of these; without a model, or with one of this machine, none
     /// names it.
     pub(super) fn options<'a>(
         model: Option<&str>,
         checkpoints: impl Iterator<Item = (&'a str, &'a str)>,
+        memories: impl Iterator<Item = (&'a str, &'a str)>,
         registry: &ModelRegistry,
     ) -> Vec<[String; 2]> {
         model
@@ -95,6 +121,7 @@ impl OfRun {
             .map(of_model)
             .into_iter()
             .chain(checkpoints.map(|(planner, file)| of_checkpoint(planner, file)))
+            .chain(memories.map(|(key, file)| of_memory(key, file)))
             .collect()
     }
 
@@ -113,6 +140,10 @@ fn of_model(model: &str) -> [String; 2] {
 
 fn of_checkpoint(planner: &str, file: &str) -> [String; 2] {
     ["--checkpoint".to_owned(), format!("{planner}={file}")]
+}
+
+fn of_memory(key: &str, file: &str) -> [String; 2] {
+    ["--set".to_owned(), format!("{key}={file}")]
 }
 
 /// Key of the checkpoint of a planner.
@@ -166,5 +197,17 @@ mod tests {
         of_run
             .check_checkpoints([("pdm-open", "/a b.ckpt")].into_iter())
             .unwrap();
+    }
+
+    #[test]
+    fn a_memory_that_only_the_run_names_must_be_named_again() {
+        let key = "language_agents.dilu.memory";
+        let mut of_run = OfRun::new(Path::new("a run"), [key.to_owned()]);
+        let memories = || [(key, "x/dilu.json")].into_iter();
+        let error = of_run.check_memories(memories()).unwrap_err();
+        let line = format!("planagent simulate --resume 'a run' --set {key}=x/dilu.json");
+        assert!(error.to_string().contains(&line), "{error}");
+        of_run.name(key);
+        of_run.check_memories(memories()).unwrap();
     }
 }

@@ -157,7 +157,10 @@ impl Config {
             config.learned.checkpoint(planner)?;
             Some(checkpoint_key(planner))
         });
-        let keys = checkpoints.chain([MODEL.to_owned()]);
+        let memories = config.language_agents.memories();
+        let keys = checkpoints
+            .chain(memories.map(|(key, ..)| key.to_owned()))
+            .chain([MODEL.to_owned()]);
         config.of_run = OfRun::new(folder, keys.collect::<Vec<_>>());
         Ok(config)
     }
@@ -205,7 +208,18 @@ fn plan(
 /// Refuses checkpoints of these planners that only the run names.
 fn check_checkpoints(planners: &[PlannerName], config: &Config) -> Result<(), RunnerError> {
     let checkpoints = checkpoints(planners, config);
-    Ok(config.of_run.check_checkpoints(checkpoints)?)
+    config.of_run.check_checkpoints(checkpoints)?;
+    Ok(config.of_run.check_memories(memories(planners, config))?)
+}
+
+/// The memories of these planners, by their keys.
+fn memories<'a>(
+    planners: &'a [PlannerName],
+    config: &'a Config,
+) -> impl Iterator<Item = (&'a str, &'a str)> {
+    let is_simulated = |name: &str| planners.iter().any(|planner| planner.as_str() == name);
+    let set = config.language_agents.memories();
+    set.filter_map(move |(key, planner, file)| is_simulated(planner).then_some((key, file)))
 }
 
 /// The checkpoints of these planners.
@@ -308,7 +322,12 @@ fn complete(
     listener(Event::Opened {
         folder: run.path().to_owned(),
         has_commands: run.has_commands(),
-        named_again: OfRun::options(model, checkpoints(&selection.planners, config), &registry),
+        named_again: OfRun::options(
+            model,
+            checkpoints(&selection.planners, config),
+            memories(&selection.planners, config),
+            &registry,
+        ),
     });
     listener(Event::Started { total: left.len() });
     let simulated = run.simulate(&left, listener);

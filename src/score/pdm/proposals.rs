@@ -133,7 +133,7 @@ impl<'a> Proposals<'a> {
 
     /// Rolls one proposal out further, alone, up to `steps` steps from the present, and gives its
     /// poses.
-    pub(crate) fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
+    pub fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
         for step in self.rolled_out[index].states.len()..=steps {
             self.advance(index..index + 1, step);
         }

@@ -146,6 +146,7 @@ impl LlmAssist {
             attempts,
             decision,
             emergency_brakes: 0,
+            handovers: 0,
             aborted_lane_change: None,
             active_from: None,
             environment_ms,

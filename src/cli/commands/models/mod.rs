@@ -2,6 +2,7 @@
 
 mod check;
 mod check_server;
+mod families;
 mod fetch;
 mod list;
 pub(crate) mod quantize;
@@ -13,7 +14,7 @@ use crate::progress::listener;
 use crate::{Exit, Printer};
 use planagent_runs::runner::{Config, model_registry};
 
-/// Lists, shows, checks, fetches or quantizes models.
+/// Lists, shows, checks, fetches or quantizes models, or lists families.
 pub(crate) fn run(
     command: &ModelsCommand,
     config: &Config,
@@ -23,6 +24,7 @@ pub(crate) fn run(
     match command {
         // An adapter is one for the model that is named.
         ModelsCommand::List { csv } => list::run(&registry.with_adapter(None), *csv, printer),
+        ModelsCommand::Families { markdown } => families::run(*markdown, printer),
         ModelsCommand::Show { model, .. } => show::run(model, &registry, printer),
         ModelsCommand::Check { models, .. } if models.is_empty() => {
             check::run(models, &registry.with_adapter(None), config, printer)

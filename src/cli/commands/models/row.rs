@@ -3,7 +3,7 @@
 use super::check::reason;
 use planagent_agent::reasoning;
 use planagent_mllm::{
-    Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec,
+    Architecture, ImageRange, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -49,6 +49,9 @@ pub(super) struct Row {
     pub image_size: Option<usize>,
     /// Tokens of that map.
     pub image_tokens: Option<usize>,
+    /// How many tokens an image may become, where the tower takes any size.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image_range: Option<ImageRange>,
     /// Longest chat, tokens.
     pub context: Option<usize>,
     /// Memory in each weight format, bytes.
@@ -143,6 +146,7 @@ impl Row {
             parameters,
             image_size,
             image_tokens,
+            image_range,
             context,
             formats,
             adapter,
@@ -153,6 +157,7 @@ impl Row {
             parameters: Some(*parameters),
             image_size: *image_size,
             image_tokens: image_size.and(Some(*image_tokens)),
+            image_range: *image_range,
             context: Some(*context),
             adapter: adapter.as_ref().map(ToString::to_string),
             memory: formats
@@ -161,6 +166,18 @@ impl Row {
                 .collect(),
             ..self
         }
+    }
+
+    /// What speaks against how its image is drawn.
+    pub(super) fn image_warning(&self) -> Option<String> {
+        let (range, tokens) = (self.image_range?, self.image_tokens?);
+        (tokens < range.advised).then(|| {
+            format!(
+                "its makers advise at least {} tokens where places in the image matter; a larger \
+                 image.size in its description gives more, and calls take longer",
+                range.advised
+            )
+        })
     }
 
     /// Billions or millions of weights.
@@ -193,6 +210,23 @@ fn prompts(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_drawn_image_of_few_tokens_is_warned_about() {
+        let row = |tokens| Row {
+            image_range: Some(ImageRange {
+                least: 64,
+                most: 16_384,
+                advised: 1024,
+            }),
+            image_tokens: Some(tokens),
+            ..Row::default()
+        };
+        let said = row(196).image_warning().unwrap();
+        assert!(said.contains("at least 1024 tokens"), "{said}");
+        assert_eq!(row(1024).image_warning(), None);
+        assert_eq!(Row::default().image_warning(), None);
+    }
 
     #[test]
     fn sizes_have_five_characters_and_numbers_four() {

@@ -48,6 +48,12 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
             .or(text_alone),
     );
     fact(
+        "possible",
+        row.image_range
+            .map(|range| format!("{} to {} tokens of an image", range.least, range.most)),
+    );
+    fact("warning", row.image_warning());
+    fact(
         "context",
         row.context.map(|tokens| format!("{tokens} tokens")),
     );

@@ -1,6 +1,6 @@
 //! Statistics of a benchmark.
 
-use crate::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
+use crate::bench::{Agreement, DRAFTED, EngineName, IterationRow, ModelRow, Row};
 use planagent_runs::report::{Quantiles, Spread};
 use serde::Serialize;
 
@@ -9,8 +9,11 @@ use serde::Serialize;
 pub struct BenchFigures {
     /// One entry for each model and engine.
     pub models: Vec<ModelFigures>,
-    /// This program compared with llama.cpp; empty without llama.cpp.
+    /// This program compared with another engine; empty without one.
     pub comparisons: Vec<Comparison>,
+    /// How near the logits and tokens of both engines are.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub agreements: Vec<Agreement>,
     /// Failed models with the reason.
     pub failed: Vec<(String, String)>,
 }
@@ -46,7 +49,7 @@ pub struct DraftedCall {
     pub ms: f64,
 }
 
-/// One measurement of this program and of llama.cpp, iteration by iteration.
+/// One measurement of this program and of another engine, iteration by iteration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     pub model: String,
@@ -55,9 +58,9 @@ pub struct Comparison {
     pub unit: &'static str,
     /// Median of this program.
     pub ours: f64,
-    /// Median of llama.cpp.
+    /// Median of the other engine.
     pub theirs: f64,
-    /// Speed of this program relative to llama.cpp.
+    /// Speed of this program relative to the other engine.
     pub ratio: Spread,
 }
 
@@ -83,6 +86,7 @@ impl BenchFigures {
         let mut figures = Self {
             models: Vec::new(),
             comparisons: Vec::new(),
+            agreements: Vec::new(),
             failed: Vec::new(),
         };
         for row in rows {
@@ -100,6 +104,7 @@ impl BenchFigures {
                 Row::Failed(row) => figures
                     .failed
                     .push((row.model.clone(), row.problem.clone())),
+                Row::Agreement(row) => figures.agreements.push(row.clone()),
                 Row::Iteration(_) => {}
             }
         }
@@ -144,7 +149,7 @@ type Compared = (String, &'static str, fn(&IterationRow) -> Option<f64>);
 
 fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
     let mut workloads: Vec<&str> = Vec::new();
-    // llama.cpp makes no calls with drafts.
+    // Other engines make no calls with drafts.
     let shared = |row: &&&IterationRow| !row.workload.starts_with(DRAFTED_CALL);
     for row in iterations
         .iter()
@@ -157,17 +162,16 @@ fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
     }
     let mut all = Vec::new();
     for workload in workloads {
-        let of = |engine| {
+        let of = |own: bool| {
             iterations
                 .iter()
                 .filter(move |row| {
-                    row.model == model && row.workload == workload && row.engine == engine
+                    let is_own = row.engine == EngineName::PlanAgent;
+                    row.model == model && row.workload == workload && is_own == own
                 })
                 .copied()
         };
-        let pairs: Vec<_> = of(EngineName::PlanAgent)
-            .zip(of(EngineName::LlamaCpp))
-            .collect();
+        let pairs: Vec<_> = of(true).zip(of(false)).collect();
         for (what, unit, read) in compared(workload) {
             all.extend(Comparison::from_pairs(model, what, unit, read, &pairs));
         }

@@ -1,6 +1,6 @@
 //! The tables of a bench.
 
-use crate::bench::EngineName;
+use crate::bench::{Agreement, EngineName};
 use crate::report::{BenchFigures, Comparison, ModelFigures};
 use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
 use planagent_runs::report::{markdown_block, markdown_line};
@@ -120,9 +120,11 @@ pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
     }
     if !figures.comparisons.is_empty() {
         parts.push(comparisons(figures).fitted(width));
-        let ratio = "ratio = speed of planagent / speed of llama.cpp".to_owned();
+        let ratio = format!("ratio = {}", ratio(figures));
         parts.push(width.listed([ratio, other_engine(figures)]).join("\n"));
     }
+    let agreements = figures.agreements.iter().map(Agreement::in_words);
+    parts.extend(agreements.map(|line| width.wrapped(&line).join("\n")));
     parts.extend(failed(figures).map(|line| width.wrapped(&line).join("\n")));
     parts.join("\n\n")
 }
@@ -151,10 +153,10 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
     if !figures.comparisons.is_empty() {
         let other = markdown_line(&other_engine(figures));
         let table = comparisons(figures).markdown();
-        let _ = write!(
-            text,
-            "\nRatio: speed of planagent / speed of llama.cpp. {other}.\n\n{table}"
-        );
+        let _ = write!(text, "\nRatio: {}. {other}.\n\n{table}", ratio(figures));
+    }
+    for agreement in &figures.agreements {
+        let _ = writeln!(text, "\n{}", markdown_line(&agreement.in_words()));
     }
     for line in failed(figures) {
         let _ = writeln!(text, "\n{}", markdown_line(&line));
@@ -172,7 +174,7 @@ fn models<'a>(
     let rows = figures.models.iter().map(|model| {
         let name = match model.about.engine {
             EngineName::PlanAgent => model.about.model.clone(),
-            EngineName::LlamaCpp => format!("- {}", EngineName::LlamaCpp),
+            other => format!("- {other}"),
         };
         std::iter::once(name)
             .chain(columns.iter().map(|column| (column.cell)(model)))
@@ -201,12 +203,13 @@ fn comparisons(figures: &BenchFigures) -> Table {
             range,
         ]
     };
+    let other = other(figures).to_string();
     let headers = [
         "model",
         "what",
         "unit",
         "planagent",
-        "llama.cpp",
+        other.as_str(),
         "ratio",
         "range",
     ];
@@ -220,16 +223,30 @@ fn failed(figures: &BenchFigures) -> impl Iterator<Item = String> {
         .map(|(model, problem)| format!("{model} failed: {problem}"))
 }
 
+/// The engine that is compared with.
+fn other(figures: &BenchFigures) -> EngineName {
+    let engines = figures.models.iter().map(|model| model.about.engine);
+    engines
+        .into_iter()
+        .find(|engine| *engine != EngineName::PlanAgent)
+        .unwrap_or(EngineName::LlamaCpp)
+}
+
+fn ratio(figures: &BenchFigures) -> String {
+    format!("speed of planagent / speed of {}", other(figures))
+}
+
 fn other_engine(figures: &BenchFigures) -> String {
+    let engine = other(figures);
     let other = figures
         .models
         .iter()
-        .find(|model| model.about.engine == EngineName::LlamaCpp);
+        .find(|model| model.about.engine == engine);
     let version = or_dash(other, |model| model.about.loaded.version.clone());
-    format!(
-        "{} = that of llama-cpp-python {version}",
-        EngineName::LlamaCpp
-    )
+    match engine {
+        EngineName::Candle => format!("{engine} = {version}"),
+        _ => format!("{engine} = that of llama-cpp-python {version}"),
+    }
 }
 
 fn memory(bytes: u64) -> String {
@@ -299,6 +316,7 @@ mod tests {
                 theirs: 124.0,
                 ratio,
             }],
+            agreements: Vec::new(),
             failed: vec![(
                 name.to_owned(),
                 "it needs more memory than is free".repeat(4),

@@ -242,7 +242,7 @@ pub(crate) struct Facts<'a> {
 }
 
 impl<'a> Facts<'a> {
-    pub(crate) fn of(scene: &'a SceneView<'a>) -> Self {
+    pub(crate) fn from_scene(scene: &'a SceneView<'a>) -> Self {
         Self {
             scene,
             objects: objects::seen(scene),
@@ -254,7 +254,7 @@ impl<'a> Facts<'a> {
         &self.objects
     }
 
-    /// The objects with their places, for thoughts that name them.
+    /// The objects with their places, for reasons that name them.
     pub(crate) fn names(&self) -> Vec<String> {
         self.objects
             .iter()

@@ -9,7 +9,7 @@ fn right_calls_are_answered_and_wrong_ones_get_what_is_wrong() {
     let held = HeldScenario::Shared(Arc::new(default_scene()));
     let simulation = ClosedLoop::new(held, Challenge::NonReactive).unwrap();
     let scene = simulation.scene();
-    let facts = Facts::of(&scene);
+    let facts = Facts::from_scene(&scene);
     for (group, call) in [
         (Group::Detection, "lead_object()"),
         (
@@ -93,7 +93,7 @@ fn any_text_gets_an_answer() {
     let held = HeldScenario::Shared(Arc::new(default_scene()));
     let simulation = ClosedLoop::new(held, Challenge::NonReactive).unwrap();
     let scene = simulation.scene();
-    let facts = Facts::of(&scene);
+    let facts = Facts::from_scene(&scene);
     for text in [
         "",
         "(",

@@ -124,7 +124,10 @@ impl GgufLayout for LlavaGguf {
         if config.text.head_norms {
             return Ok(Err("norms of queries and keys in a llama decoder"));
         }
-        let decoder = llama::metadata(llama::ARCHITECTURE, &config.text);
+        let decoder = match llama::metadata(llama::ARCHITECTURE, &config.text) {
+            Ok(decoder) => decoder,
+            Err(lacking) => return Ok(Err(lacking)),
+        };
         let tower = tower::metadata(&config, pinpoints, scale);
         Ok(tower.map(|tower| (llama::ARCHITECTURE, decoder, Some(tower))))
     }

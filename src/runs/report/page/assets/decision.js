@@ -56,6 +56,7 @@ function decisionWords(call, run) {
   return [words[decision.kind]?.() ?? decision.kind,
     kept ? "A refused plan must not begin a lane change, so the ego keeps its lane." : null,
     aborted == null || kept ? null : `Lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s.`,
+    call.handovers ? `A proposal of PDM-Closed drove in ${counted(call.handovers, "step")}, because it scored more than the plan, which scored less than the threshold.` : null,
     brakes ? `The emergency brake acted in ${counted(brakes, "step")}.` : null].filter(Boolean).join(" ");
 }
 

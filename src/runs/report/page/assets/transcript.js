@@ -85,13 +85,13 @@ class Transcript {
   showAttempt(call, i, executed) {
     const attempt = call.attempts[i];
     const { reflection, code } = attempt;
-    const repeat = repeatOf(call.attempts, i);
+    const repeat = attempt.is_further ? null : repeatOf(call.attempts, i);
     const isRefused = reflection?.verdict === "rethink";
     const state = i === executed ? (isRefused ? "refused executed" : "executed") : "";
     const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
     const attributes = { class: `attempt ${state}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
-      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(attempt)),
+      h("header", {}, h("h4", {}, `Attempt ${i + 1}${attempt.is_further ? ": further codes, of the agent itself" : ""}`), tag, this.showVerdict(attempt)),
       repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no plan was read"),
       code?.waypoints ? h("p", { class: "quiet" }, ONWARD) : null,
