@@ -233,6 +233,7 @@ fn a_monitored_plan_stops_only_in_danger_and_only_if_it_may() {
             steps: 40,
             threshold: 0.75,
             emergency_brake,
+            handover: false,
         };
         monitor
             .choose(&scene, &planner, &mut PdmMemory::default())

@@ -9,7 +9,7 @@ use planagent::traffic::{TrackToken, TrackedObject};
 use planagent::{Challenge, EgoState, Scenario as Opened, Trajectory};
 use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_agent::planner::planner_code;
-use planagent_agent::reflection::PlanBuilder;
+use planagent_agent::reflection::{PlanBuilder, Ride};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_runs::worker::run::with_causes;
 use planagent_scenario::HeldScenario;
@@ -301,6 +301,7 @@ fn code_plan(scene: &SceneView<'_>, code: &[f64]) -> Outcome<Trajectory> {
     }
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
+        ride: Ride::default(),
         horizon_s: PLAN_S,
     };
     let build = |name| {

@@ -15,7 +15,7 @@ use planagent_agent::environment::{
     BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm,
 };
 use planagent_agent::planner::planner_code;
-use planagent_agent::reflection::{Judge, PlanBuilder};
+use planagent_agent::reflection::{Judge, PlanBuilder, Ride};
 use planagent_runs::report::render::{Look, observed_picture};
 use planagent_runs::worker::run::with_causes;
 use planagent_score::pdm::PdmMemory;
@@ -282,6 +282,7 @@ impl Observation {
                 .map_err(|error| Failure::argument(format!("{error}")))?;
             let builder = PlanBuilder {
                 lead_policy: LeadPolicy::Nearest,
+                ride: Ride::default(),
                 horizon_s: PLAN_S,
             };
             let scene = self.scene.view();

@@ -112,14 +112,14 @@ fn call_markdown(
     let time = CallTimes::from_call(call);
     let _ = writeln!(
         text,
-        "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, server {:.1}, reflection {:.1}).",
-        time.total,
-        time.environment,
-        time.image_encode,
-        time.prefill,
-        time.decode,
-        time.remote,
-        time.reflection
+        "Time: {} ms (environment {}, image {}, prefill {}, decode {}, server {}, reflection {}).",
+        fixed(time.total, 1),
+        fixed(time.environment, 1),
+        fixed(time.image_encode, 1),
+        fixed(time.prefill, 1),
+        fixed(time.decode, 1),
+        fixed(time.remote, 1),
+        fixed(time.reflection, 1)
     );
     text
 }
