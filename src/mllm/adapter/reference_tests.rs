@@ -108,6 +108,7 @@ fn logits(mut weights: Weights, folder: &str, ids: &[u32]) -> Tensor {
     let input = DecoderInput {
         rows: decoder.embed(ids).unwrap(),
         positions: (0..ids.len() as u32).map(|at| [at; 3]).collect(),
+        prompt_end: ids.len(),
         vision: 0..0,
         deep: Vec::new(),
     };

@@ -273,6 +273,7 @@ mod tests {
             weight_format: "q4_k".to_owned(),
             image_side: 672,
             image_tokens: 2880,
+            vocabulary: 32_000,
             context: 4096,
             layout: Layout::PrefixFirst,
             load_s: 120.5,
