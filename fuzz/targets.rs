@@ -18,8 +18,8 @@ use planagent_agent::reasoning::{
 };
 use planagent_learned::Checkpoint;
 use planagent_mllm::{
-    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec,
-    PromptPrefix, Request, Sampling,
+    AdapterSpec, Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry,
+    ModelSpec, PromptPrefix, Request, Sampling,
 };
 use planagent_runs::report::RunFolder;
 use planagent_runs::report::page::{self, PageSettings};
@@ -42,7 +42,7 @@ use tempfile::TempDir;
 pub(crate) type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 23] = [
+pub(crate) const TARGETS: [Target; 24] = [
     ("planner_code", planner_code),
     ("answers", answers),
     ("prompts", prompts),
@@ -56,6 +56,7 @@ pub(crate) const TARGETS: [Target; 23] = [
     ("configuration", configuration),
     ("gguf", gguf),
     ("safetensors", safetensors),
+    ("adapter", adapter),
     ("quantized_folder", quantized_folder),
     ("run_folder", run_folder),
     ("run_manifest", |bytes| run_record(0, bytes)),
@@ -532,6 +533,16 @@ fn with_weights(
     let kept = ["config.json", "model.safetensors"]
         .map(|name| (model.join(name), fs::read(model.join(name))));
     fs::write(model.join("config.json"), config).expect("a file can be written");
+    write_weights(&model.join("model.safetensors"), header, most, pieces);
+    let fits = use_model(&model);
+    for (path, bytes) in kept {
+        fs::write(path, bytes.expect("the model has the file")).expect("a file can be written");
+    }
+    fits
+}
+
+/// Writes a safetensors file of at most `most` bytes of weights with this header.
+fn write_weights(path: &Path, header: &str, most: u64, pieces: &[(u64, Vec<u8>)]) {
     let head = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes()].concat();
     let ends = header.split("\"data_offsets\"").skip(1).filter_map(|rest| {
         rest.split(']')
@@ -542,8 +553,7 @@ fn with_weights(
             .ok()
     });
     let weights = ends.max().unwrap_or(0).min(most);
-    let mut file =
-        fs::File::create(model.join("model.safetensors")).expect("a file can be written");
+    let mut file = fs::File::create(path).expect("a file can be written");
     let written = if pieces.is_empty() {
         let length = head.len() as u64 + weights;
         file.write_all(&head).and_then(|()| file.set_len(length))
@@ -556,12 +566,42 @@ fn with_weights(
         file.write_all(&[head, data].concat())
     };
     written.expect("a file can be written");
-    drop(file);
-    let fits = use_model(&model);
-    for (path, bytes) in kept {
-        fs::write(path, bytes.expect("the model has the file")).expect("a file can be written");
-    }
-    fits
+}
+
+/// An adapter of a small model: a GGUF file, or a text. A text has the entries of a GGUF file, or
+/// the settings of PEFT, and behind a line of `---` the header of the weights, which are zero.
+fn adapter(bytes: &[u8]) -> bool {
+    /// Bytes of a file of weights; it is sparse.
+    const MAX_WEIGHTS: u64 = 1 << 34;
+    let Some(model) = tiny_model() else {
+        return false;
+    };
+    let folder = match as_text(bytes) {
+        None => folder(&[("adapter.gguf", bytes)]),
+        Some(text) if !text.trim_start().starts_with('{') => {
+            folder(&[("adapter.gguf", &formats::gguf(&text))])
+        }
+        Some(text) => {
+            let (settings, header) = parts(&text);
+            let folder = folder(&[("adapter_config.json", settings.as_bytes())]);
+            let weights = folder.path().join("adapter_model.safetensors");
+            write_weights(&weights, header, MAX_WEIGHTS, &[]);
+            folder
+        }
+    };
+    let file = folder.path().join("adapter.gguf");
+    let place = if file.is_file() {
+        file
+    } else {
+        folder.path().to_owned()
+    };
+    let loading = Loading {
+        adapter: Some(AdapterSpec::new(place)),
+        ..Loading::default()
+    };
+    LocalModel::check(&ModelPlace::Folder(model), &loading)
+        .problems
+        .is_empty()
 }
 
 /// A complete run in which one file, by its place in [`run_folder`], has these bytes.

@@ -77,7 +77,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["deadline", "endpoint_settings"],
             &["checkpoint"],
             &["conversation", "gguf"],
-            &["decoder", "sampling", "text", "vision"],
+            &["adapter", "decoder", "sampling", "text", "vision"],
             &["endpoint", "family"],
             &["template_format"],
             &["tiled"],

@@ -65,6 +65,8 @@ class Model:
     name
         A name (`nano`), a folder as Hugging Face writes it, a GGUF file, a hub id, or a `.toml` file that describes one. It is
         loaded once in a process.
+    adapter
+        An adapter that is merged into its weights: a folder of PEFT, or a GGUF file of llama.cpp's LoRA.
     settings
         Other settings by the keys of `planagent.toml`, for example `{"mllm.quantize": "q8_0"}`.
 
@@ -85,12 +87,21 @@ class Model:
 
     __slots__ = ("_arguments", "_native")
 
-    def __init__(self, name: str | os.PathLike[str] = "nano", *, settings: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        name: str | os.PathLike[str] = "nano",
+        *,
+        adapter: str | os.PathLike[str] | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
         if not isinstance(name, (str, os.PathLike)):
             raise wrong("name", name, "expected the name of a model")
+        if adapter is not None and not isinstance(adapter, (str, os.PathLike)):
+            raise wrong("adapter", adapter, "expected the path of an adapter")
         name = arguments.text("name", os.fspath(name))
-        self._native = _core.Model(settings_json(settings, mllm__model=name))
-        self._arguments = (name, None if settings is None else dict(settings))
+        adapter = None if adapter is None else arguments.text("adapter", os.fspath(adapter))
+        self._native = _core.Model(settings_json(settings, mllm__model=name, mllm__adapter=adapter))
+        self._arguments = (name, adapter, None if settings is None else dict(settings))
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
         return _model, self._arguments
@@ -181,5 +192,5 @@ class Model:
         return Answer(answer, finish, json.loads(tokens), json.loads(milliseconds))
 
 
-def _model(name: str, settings: dict[str, Any] | None) -> Model:
-    return Model(name, settings=settings)
+def _model(name: str, adapter: str | None, settings: dict[str, Any] | None) -> Model:
+    return Model(name, adapter=adapter, settings=settings)

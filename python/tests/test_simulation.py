@@ -171,3 +171,5 @@ def test_a_model_answers_within_its_choices():
         model.ask(image / 255.0, "Which lane?")
     with pytest.raises(planagent.errors.ModelError):
         planagent.Model("no-such-model")
+    with pytest.raises(planagent.errors.ModelError, match="no such adapter"):
+        planagent.Model("nano", adapter="no-such-adapter")

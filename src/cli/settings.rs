@@ -7,8 +7,9 @@ use super::words::planner_words;
 use anyhow::{Context, bail};
 use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
+use planagent_files::word_of;
 use planagent_mllm::trial::Trial;
-use planagent_mllm::{Trust, offline_variable};
+use planagent_mllm::{AdapterSpec, Trust, offline_variable};
 use planagent_planners::all_planners;
 use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
@@ -20,7 +21,8 @@ use toml::{Table, Value};
 
 /// Keys without a default value, beside the checkpoints of learned planners; the others are those of
 /// [`Config::default`].
-const OPTIONAL: [&str; 10] = [
+const OPTIONAL: [&str; 11] = [
+    "mllm.adapter",
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -100,6 +102,11 @@ impl Settings {
             note("--prompt-set", "reasoning.prompt_set", set.clone().into());
             config.reasoning.prompt_set = Some(set);
         }
+        if let Some(path) = flags.adapter {
+            let word = word_of(path.as_os_str());
+            note("--adapter", "mllm.adapter", word.into());
+            config.mllm.adapter = Some(AdapterSpec::new(path));
+        }
         if let Some(format) = flags.quantize {
             note("--quantize", "mllm.quantize", format.to_string().into());
             config.mllm.quantize = Some(format);
@@ -122,6 +129,9 @@ impl Settings {
             trial()
         };
         // Absolute paths let `--resume` work from any directory.
+        if let Some(adapter) = &mut config.mllm.adapter {
+            adapter.path = std::path::absolute(&adapter.path).unwrap_or(adapter.path.clone());
+        }
         config
             .learned
             .all_mut()

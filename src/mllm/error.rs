@@ -102,6 +102,8 @@ pub enum MllmError {
         "draft_model {place}: {problem}; a draft model has the vocabulary of the model that it drafts for"
     )]
     DraftModel { place: PathBuf, problem: String },
+    #[error("adapter {}: {problem}", path.display())]
+    Adapter { path: PathBuf, problem: String },
     #[error("{path}: element {element} of tensor {name} is {value}")]
     NonFiniteWeight {
         path: PathBuf,

@@ -9,7 +9,8 @@
 //! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a
 //!    grammar.
 //!
-//! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of
+//! Below them, `checkpoint` and `gguf` read weights and configurations, and `adapter` merges an
+//! adapter into the weights. The arithmetic is that of
 //! [`planagent_kernels`].
 
 #![allow(
@@ -17,6 +18,7 @@
     reason = "many names say all; the root describes what users see"
 )]
 
+mod adapter;
 mod checkpoint;
 #[cfg(test)]
 mod class_keys;
@@ -51,8 +53,10 @@ mod tiled;
 pub mod trial;
 mod vision;
 
+pub use adapter::AdapterSpec;
 pub use checkpoint::{
-    LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights,
+    LlamaConfig, LoadReport, MergedAdapter, ModelFiles, WeightFormatException, WeightFormatShare,
+    Weights,
 };
 pub use checkpoint::{in_bytes, parameter_count};
 pub use conversation::milliseconds;

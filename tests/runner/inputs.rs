@@ -3,6 +3,8 @@
 use super::simulations;
 use crate::cli::{refused, run};
 use crate::outside::{Needy, data};
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, serialize_to_file};
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -95,6 +97,59 @@ fn another_prompt_or_model_file_is_named_and_must_be_accepted() {
     assert_eq!(fs::read(out.join("summary.json")).unwrap(), summary);
     fs::remove_file(Path::new(&prompts).join("feedback.jinja")).unwrap();
     assert!(refused(&resume).contains("feedback.jinja"));
+}
+
+/// Writes an adapter of nano that changes little, with this factor.
+fn write_adapter(folder: &Path, alpha: f32) {
+    const MODULE: &str = "base_model.model.model.language_model.layers.0.self_attn.q_proj";
+    fs::create_dir_all(folder).unwrap();
+    let settings = format!(
+        r#"{{"peft_type": "LORA", "r": 1, "lora_alpha": {alpha}, "target_modules": ["q_proj"]}}"#
+    );
+    fs::write(folder.join("adapter_config.json"), settings).unwrap();
+    let numbers: Vec<u8> = (0..192)
+        .flat_map(|at: u16| (f32::from(at) * 1e-5).to_le_bytes())
+        .collect();
+    let view = |shape| TensorView::new(Dtype::F32, shape, &numbers).unwrap();
+    let tensors = [
+        (format!("{MODULE}.lora_A.weight"), view(vec![1, 192])),
+        (format!("{MODULE}.lora_B.weight"), view(vec![192, 1])),
+    ];
+    serialize_to_file(tensors, None, &folder.join("adapter_model.safetensors")).unwrap();
+}
+
+#[test]
+fn another_adapter_is_named_and_must_be_accepted() {
+    let work = TempDir::new().unwrap();
+    let (out, adapter) = (work.path().join("run"), work.path().join("adapter"));
+    let folder = out.to_str().unwrap();
+    write_adapter(&adapter, 1.0);
+    let (code, _, stderr) = run(&[
+        "simulate",
+        "--scenario",
+        "generated/changing_lane/3",
+        "--model",
+        "nano",
+        "--adapter",
+        adapter.to_str().unwrap(),
+        "--set",
+        "agent.interval_s=100",
+        "--out",
+        folder,
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    let manifest = fs::read_to_string(out.join("manifest.toml")).unwrap();
+    assert!(manifest.contains("[model.load.adapter]"), "{manifest}");
+    let resume = ["simulate", "--resume", folder];
+    assert_eq!(run(&resume).0, 0);
+    write_adapter(&adapter, 2.0);
+    let error = refused(&resume);
+    assert!(
+        error.contains("model description changed: adapter") && error.contains("--accept-changes"),
+        "{error}"
+    );
+    fs::remove_dir_all(&adapter).unwrap();
+    assert!(refused(&resume).contains("no such adapter"));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use clap::Args;
 use planagent_mllm::WeightFormat;
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 
 /// Heading of these options.
 const HEADING: &str = "Model";
@@ -12,6 +13,7 @@ const HEADING: &str = "Model";
 pub(crate) struct ModelFlags {
     pub(crate) model: Option<String>,
     pub(crate) prompt_set: Option<String>,
+    pub(crate) adapter: Option<PathBuf>,
     pub(crate) quantize: Option<WeightFormat>,
     pub(crate) context: Option<usize>,
     pub(crate) ignore_memory: bool,
@@ -37,6 +39,8 @@ pub(crate) struct ModelArguments {
     #[arg(long, value_name = "SET", help_heading = HEADING, hide_short_help = true)]
     prompt_set: Option<String>,
     #[command(flatten)]
+    adapter: AdapterArgument,
+    #[command(flatten)]
     format: FormatArgument,
     #[command(flatten)]
     memory: MemoryArgument,
@@ -44,6 +48,17 @@ pub(crate) struct ModelArguments {
     network: NetworkArgument,
     #[command(flatten)]
     trust: TrustArgument,
+}
+
+/// What is merged into the weights.
+#[derive(Debug, Args)]
+pub(crate) struct AdapterArgument {
+    /// Adapter to merge into the model: a PEFT folder, or a GGUF file of llama.cpp's LoRA.
+    ///
+    /// LoRA, rsLoRA, DoRA, PiSSA and OLoRA are merged when the model is loaded, into weights of any
+    /// format. The default is that of the model's description.
+    #[arg(long, value_name = "PATH", help_heading = HEADING, hide_short_help = true)]
+    pub(crate) adapter: Option<PathBuf>,
 }
 
 /// Whether the user vouches for the files of the model.
@@ -96,6 +111,7 @@ impl ModelArguments {
         let Self {
             model,
             prompt_set,
+            adapter,
             format,
             memory,
             network,
@@ -105,6 +121,7 @@ impl ModelArguments {
         ModelFlags {
             model: model.clone(),
             prompt_set: prompt_set.clone(),
+            adapter: adapter.adapter.clone(),
             ..rest
         }
     }
@@ -121,6 +138,7 @@ impl ModelFlags {
         Self {
             model: None,
             prompt_set: None,
+            adapter: None,
             quantize: format.and_then(|format| format.quantize),
             context: memory
                 .and_then(|memory| memory.context)

@@ -1,6 +1,8 @@
 //! `models`.
 
-use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument, TrustArgument};
+use super::model::{
+    AdapterArgument, FormatArgument, MemoryArgument, ModelFlags, NetworkArgument, TrustArgument,
+};
 use crate::help;
 use clap::{Args, Subcommand};
 use planagent_mllm::WeightFormat;
@@ -25,6 +27,8 @@ pub(crate) enum ModelsCommand {
     Show {
         /// The model, as `--model` takes it.
         model: String,
+        #[command(flatten)]
+        adapter: AdapterArgument,
     },
     /// Check the files of models without reading the weights, and report every fault.
     ///
@@ -33,6 +37,8 @@ pub(crate) enum ModelsCommand {
     Check {
         /// Models as `--model` takes them [default: all described models].
         models: Vec<String>,
+        #[command(flatten)]
+        adapter: AdapterArgument,
         #[command(flatten)]
         format: FormatArgument,
         #[command(flatten)]
@@ -82,6 +88,8 @@ pub(crate) struct QuantizeArguments {
     #[arg(long)]
     pub(crate) force: bool,
     #[command(flatten)]
+    adapter: AdapterArgument,
+    #[command(flatten)]
     memory: MemoryArgument,
     #[command(flatten)]
     network: NetworkArgument,
@@ -93,21 +101,33 @@ impl ModelsCommand {
     /// What the options about models say.
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
-            Self::List { .. } | Self::Show { .. } | Self::Families { .. } => ModelFlags::default(),
+            Self::List { .. } | Self::Families { .. } => ModelFlags::default(),
+            Self::Show { adapter, .. } => ModelFlags {
+                adapter: adapter.adapter.clone(),
+                ..ModelFlags::default()
+            },
             Self::Check {
+                adapter,
                 format,
                 memory,
                 network,
                 trust,
                 ..
-            } => ModelFlags::from_arguments(Some(format), Some(memory), network, Some(trust)),
+            } => ModelFlags {
+                adapter: adapter.adapter.clone(),
+                ..ModelFlags::from_arguments(Some(format), Some(memory), network, Some(trust))
+            },
             Self::Fetch { network, .. } => ModelFlags::from_arguments(None, None, network, None),
             Self::Quantize(QuantizeArguments {
+                adapter,
                 memory,
                 network,
                 trust,
                 ..
-            }) => ModelFlags::from_arguments(None, Some(memory), network, Some(trust)),
+            }) => ModelFlags {
+                adapter: adapter.adapter.clone(),
+                ..ModelFlags::from_arguments(None, Some(memory), network, Some(trust))
+            },
         }
     }
 }

@@ -165,7 +165,7 @@ pub(crate) struct PlanArguments {
     /// Reflection scores it as it scores the agent's own, with the settings of the section
     /// reflection. Prints every part of the score, and whether the code would be executed. No model
     /// is loaded.
-    #[arg(long, value_name = "CODE", conflicts_with_all = ["model", "prompt_set", "quantize", "offline", "context", "ignore_memory", "trust_model"])]
+    #[arg(long, value_name = "CODE", conflicts_with_all = ["model", "prompt_set", "adapter", "quantize", "offline", "context", "ignore_memory", "trust_model"])]
     pub(crate) code: Option<String>,
     /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the
     /// model's own picture beside it. The model's picture as the model sees it goes to

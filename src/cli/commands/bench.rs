@@ -139,6 +139,9 @@ fn measuring_process(config: &Config, threads: usize) -> Command {
     if let Some(context) = config.mllm.context {
         command.args(["--context", &context.to_string()]);
     }
+    if let Some(adapter) = &config.mllm.adapter {
+        command.arg("--adapter").arg(&adapter.path);
+    }
     command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
     command.args(config.mllm.offline.then_some("--offline"));
     command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));
@@ -330,6 +333,12 @@ fn as_gguf(
             registry.plain_loading(),
         ),
     };
+    if loading.adapter.is_some() {
+        bail!(
+            "--vs compares files that both engines read; write the merged model with `planagent models quantize --adapter`, \
+             and name that file"
+        );
+    }
     let files = |decoder: PathBuf, projector: Option<PathBuf>| Candidate {
         model: ModelChoice::Gguf(GgufPair { decoder, projector }),
         ..candidate.clone()
@@ -411,6 +420,7 @@ fn metadata(
         "iterations": flags.iterations,
         "threads": rayon::current_num_threads(),
         "seed": config.seed,
+        "adapter": config.mllm.adapter,
         "quantize": config.mllm.quantize,
         "vs_llama_cpp": flags.vs == Some(OtherEngine::LlamaCpp),
         "vs_candle": flags.vs == Some(OtherEngine::Candle),

@@ -76,6 +76,11 @@ impl ModelFiles {
         Ok(())
     }
 
+    /// Whether they lie in a folder.
+    pub(crate) fn is_folder(&self) -> bool {
+        self.packed.is_none()
+    }
+
     /// The folder or file.
     pub(crate) fn place(&self) -> &Path {
         &self.place

@@ -3,6 +3,7 @@
 use super::weight_format_plan::PlannedFormat;
 use planagent_kernels::matrix::WeightFormat;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -11,12 +12,43 @@ pub struct LoadReport {
     /// The format of `mllm.quantize`; none for the format of the files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
+    /// The adapter that is merged into the weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<MergedAdapter>,
     /// Tensors and bytes of each format.
     pub weight_formats: Vec<WeightFormatShare>,
     /// Tensors in another format than the wanted one.
     pub exceptions: Vec<WeightFormatException>,
     /// Further facts about the files for the user.
     pub notes: Vec<String>,
+}
+
+/// A merged adapter, for reports.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MergedAdapter {
+    /// Its folder or file.
+    pub path: String,
+    /// `LoRA` or `DoRA`.
+    pub kind: String,
+    /// The model that it was trained for, as it says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<String>,
+    /// Number of the model's tensors that it changes.
+    pub tensors: usize,
+}
+
+impl fmt::Display for MergedAdapter {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "{} ({}, {} tensors",
+            self.path, self.kind, self.tensors
+        )?;
+        if let Some(base) = &self.base {
+            write!(out, ", for {}", base.escape_debug())?;
+        }
+        out.write_str(")")
+    }
 }
 
 /// The tensors of one format.

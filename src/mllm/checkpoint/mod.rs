@@ -8,6 +8,7 @@ mod gemma_config;
 mod layers;
 mod llama_config;
 mod load_report;
+mod merged;
 mod mistaken;
 mod neutral;
 mod own_keys;
@@ -26,8 +27,9 @@ pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
 pub use load_report::{
-    LoadReport, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
+    LoadReport, MergedAdapter, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
 };
+pub(crate) use merged::BaseTensor;
 pub(crate) use mistaken::what_instead_of_weights;
 pub(crate) use neutral::Neutral;
 pub(crate) use own_keys::OwnKeys;
@@ -54,7 +56,8 @@ pub(crate) const MAX_SMALL_FILES: usize = 256;
 
 /// Largest small file of this name, bytes. Others are refused before they are read.
 pub(crate) fn small_file_limit(path: &Path) -> u64 {
-    const CONFIGS: [&str; 4] = [
+    const CONFIGS: [&str; 5] = [
+        "adapter_config.json",
         "config.json",
         "generation_config.json",
         "preprocessor_config.json",

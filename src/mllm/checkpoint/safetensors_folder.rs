@@ -187,7 +187,7 @@ impl TensorSource for MemoryFile {
 }
 
 /// Reads the header of a file of `file_bytes` bytes: the tensors by their names in the file.
-fn read_header(
+pub(crate) fn read_header(
     path: &Path,
     source: &mut dyn Read,
     file_bytes: u64,

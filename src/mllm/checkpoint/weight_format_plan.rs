@@ -90,6 +90,25 @@ impl WeightFormatPlan {
         fitting(wanted, reason, inputs)
     }
 
+    /// The format in memory of a matrix that an adapter was merged into in f32; its base has the
+    /// format `base`. To round it to the steps of a base of few bits would undo changes that are
+    /// smaller than a step.
+    pub(crate) fn merged(self, name: &str, base: StoredFormat, inputs: usize) -> PlannedFormat {
+        if self.quantize.is_some() {
+            return self.matrix(name, GgmlDType::F32, inputs);
+        }
+        let wanted = if base.block_size() == 1 {
+            WeightFormat::F32
+        } else {
+            WeightFormat::Q8_0
+        };
+        let weight_format = wanted.or_finer(inputs);
+        PlannedFormat {
+            weight_format,
+            reason: (held_as(base) != Some(weight_format)).then_some(MERGED),
+        }
+    }
+
     /// Whether nothing is rounded on the way into memory, nor meant to be rounded while computing:
     /// safetensors as they are.
     pub(crate) fn is_lossless(self) -> bool {
@@ -193,6 +212,9 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
         _ => None,
     }
 }
+
+/// Why a matrix has a finer format than its file.
+const MERGED: &str = "an adapter is merged into it (--quantize chooses another format)";
 
 /// The format in memory for a file's format that has no equal, and why. It is 8 bits, which hold
 /// the numbers of most formats exactly and round those of the others little. bf16 needs f32, whose

@@ -2,6 +2,7 @@
 
 use super::finite::first_not_finite;
 use super::load_report::LoadReport;
+use super::merged::MergedFormat;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
@@ -12,6 +13,7 @@ use candle_core::{Device, Tensor};
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to
 /// be finite, and converted as the [`WeightFormatPlan`] says. So at most one tensor is in memory
@@ -23,12 +25,12 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub struct Weights {
     place: PathBuf,
-    files: Vec<Box<dyn TensorSource>>,
-    tensors: BTreeMap<String, StoredTensor>,
-    plan: WeightFormatPlan,
+    pub(super) files: Vec<Arc<dyn TensorSource>>,
+    pub(super) tensors: BTreeMap<String, StoredTensor>,
+    pub(super) plan: WeightFormatPlan,
     /// Whether the weights of norms are stored with 1 added, as llama.cpp stores those of Gemma.
     norms_have_one: bool,
-    report: LoadReport,
+    pub(super) report: LoadReport,
     blake3: String,
     access: TensorAccess,
 }
@@ -58,14 +60,16 @@ const MAX_MATRIX: usize = 1 << 33;
 const MAX_TENSOR: usize = 1 << 26;
 
 /// A tensor that is not taken yet.
-#[derive(Debug)]
-struct StoredTensor {
+#[derive(Debug, Clone)]
+pub(super) struct StoredTensor {
     /// Index into the files.
-    file: usize,
+    pub(super) file: usize,
     /// Its name in the file.
-    name: String,
-    place: TensorPlace,
-    rows: RowOrder,
+    pub(super) name: String,
+    pub(super) place: TensorPlace,
+    pub(super) rows: RowOrder,
+    /// The format of the stored tensor that this one was made of.
+    pub(super) merged: Option<MergedFormat>,
 }
 
 impl Weights {
@@ -88,7 +92,7 @@ impl Weights {
 
     /// Adds a file and gives its index for [`Self::add`].
     pub(crate) fn add_file(&mut self, file: impl TensorSource + 'static) -> usize {
-        self.files.push(Box::new(file));
+        self.files.push(Arc::new(file));
         self.files.len() - 1
     }
 
@@ -101,14 +105,13 @@ impl Weights {
         place: TensorPlace,
         rows: RowOrder,
     ) -> Result<(), MllmError> {
-        if canonical == "lm_head.weight" {
-            self.plan.tied = false;
-        }
+        self.unless_tied(&canonical);
         let stored = StoredTensor {
             file,
             name,
             place,
             rows,
+            merged: None,
         };
         match self.tensors.insert(canonical, stored) {
             None => Ok(()),
@@ -116,6 +119,13 @@ impl Weights {
                 place: self.place.clone(),
                 name: other.name,
             }),
+        }
+    }
+
+    /// Notes that a tensor is added which tied embeddings do not have.
+    pub(super) fn unless_tied(&mut self, canonical: &str) {
+        if canonical == "lm_head.weight" {
+            self.plan.tied = false;
         }
     }
 
@@ -293,19 +303,23 @@ impl Weights {
         stored: &StoredTensor,
         inputs: usize,
     ) -> PlannedFormat {
-        match self.packed(stored) {
-            Some(form) => plan.packed_matrix(name, form, inputs),
-            None => plan.matrix(name, stored.place.format, inputs),
+        match (&stored.merged, self.packed(stored)) {
+            (Some(base), _) => plan.merged(name, base.format, inputs),
+            (None, Some(form)) => plan.packed_matrix(name, form, inputs),
+            (None, None) => plan.matrix(name, stored.place.format, inputs),
         }
     }
 
     /// How a quantizer packed a tensor, if it did.
-    fn packed(&self, stored: &StoredTensor) -> Option<&PackedForm> {
+    pub(super) fn packed(&self, stored: &StoredTensor) -> Option<&PackedForm> {
         self.files.get(stored.file)?.packed(&stored.place)
     }
 
     /// What a report calls the format of a tensor in its file.
-    fn format_name(&self, stored: &StoredTensor) -> String {
+    pub(super) fn format_name(&self, stored: &StoredTensor) -> String {
+        if let Some(base) = &stored.merged {
+            return base.name.clone();
+        }
         self.packed(stored)
             .map_or_else(|| stored.place.format.name(), |form| form.label.clone())
     }
@@ -339,6 +353,7 @@ impl Weights {
         };
         let mut report = LoadReport {
             quantize,
+            adapter: self.report.adapter.clone(),
             ..LoadReport::default()
         };
         for (name, stored) in &self.tensors {

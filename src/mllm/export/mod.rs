@@ -78,7 +78,7 @@ pub fn export_model(
     create: &mut CreateFile<'_>,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<LoadReport, MllmError> {
-    let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
+    let mut checkpoint = loading.open(place)?;
     loading.check_family(&checkpoint)?;
     let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     let parts = parts(&mut checkpoint, &tokenizer, name, added)?;

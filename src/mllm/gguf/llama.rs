@@ -31,6 +31,18 @@ pub(crate) fn architectures() -> impl Iterator<Item = &'static str> {
     ARCHITECTURES.into_iter().map(|(name, _)| name)
 }
 
+/// llama.cpp's name of the decoder of a `model_type`; none if this program reads no such file.
+pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
+    let model_type = match model_type {
+        "mistral" => "llama",
+        "qwen2_5_vl" => "qwen2_5_vl_text",
+        "qwen3_vl" => "qwen3_vl_text",
+        other => other,
+    };
+    let is_of = |(_, known): &(&str, &str)| *known == model_type;
+    ARCHITECTURES.into_iter().find(is_of).map(|(name, _)| name)
+}
+
 /// The `text_config` of a decoder.
 pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     let architecture = header.architecture()?;

@@ -86,7 +86,7 @@ impl LocalModel {
 }
 
 fn tokenizer_of(place: &ModelPlace, loading: &Loading) -> Result<ChatTokenizer, MllmError> {
-    let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
+    let mut checkpoint = loading.open(place)?;
     let files = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     checkpoint.weights.only_look();
     let model = checkpoint.open_model()?;
@@ -96,7 +96,7 @@ fn tokenizer_of(place: &ModelPlace, loading: &Loading) -> Result<ChatTokenizer, 
 
 /// Collects the errors of a model.
 fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
-    let checkpoint = match Checkpoint::open(place, loading.quantize, &loading.families) {
+    let checkpoint = match loading.open(place) {
         Ok(checkpoint) => checkpoint,
         Err(error) => {
             check.problems.push(error.to_string());

@@ -2,6 +2,7 @@
 
 use super::memory::{self, MemoryCheck, PictureNeed};
 use crate::MllmError;
+use crate::adapter::AdapterSpec;
 use crate::checkpoint::ModelFiles;
 use crate::families::{Architecture, Families};
 use crate::family::ImageSettings;
@@ -14,6 +15,8 @@ use std::path::PathBuf;
 pub struct Loading {
     /// Format of the weights in memory; none for that of the files.
     pub quantize: Option<WeightFormat>,
+    /// What is merged into the weights.
+    pub adapter: Option<AdapterSpec>,
     /// The folder of the tokenizer, for models whose files have none.
     pub tokenizer: Option<PathBuf>,
     /// What to do when memory seems too small.
@@ -32,10 +35,14 @@ pub struct Loading {
 }
 
 impl Loading {
-    /// Opens a model's small files and the headers of its weights; checks its family and the
-    /// memory.
+    /// Opens a model's small files and the headers of its weights and of its adapter.
+    pub(crate) fn open(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
+        Checkpoint::open(place, self.quantize, &self.families)?.adapted(self.adapter.as_ref())
+    }
+
+    /// As [`Self::open`]; checks the family and the memory.
     pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
-        let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
+        let checkpoint = self.open(place)?;
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
             let decoder = checkpoint.decoder_config()?;

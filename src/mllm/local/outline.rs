@@ -2,6 +2,7 @@
 
 use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
+use crate::checkpoint::MergedAdapter;
 use crate::family::{ImageRange, ImageSettings};
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
@@ -22,6 +23,8 @@ pub struct ModelOutline {
     pub image_range: Option<ImageRange>,
     /// Longest chat, tokens.
     pub context: usize,
+    /// What is merged into its weights.
+    pub adapter: Option<MergedAdapter>,
     /// The model in each of [`ModelOutline::FORMATS`], as `--quantize` gives it.
     pub formats: Vec<FormatOutline>,
 }
@@ -58,6 +61,7 @@ impl ModelOutline {
         let tokens = model.drawn_layout()?.map_or(0, |layout| layout.tokens);
         let formats = Self::FORMATS.into_iter().zip(memory);
         Ok(Self {
+            adapter: checkpoint.weights.report().adapter.clone(),
             family: info.architecture,
             parameters: info.parameters,
             image_size: info.image_size,

@@ -5,7 +5,7 @@ use super::generation::GenerationSettings;
 use super::hub::{HubName, addressed, plain, without_owner};
 use super::without_tower;
 use crate::checkpoint::read_text;
-use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
+use crate::{AdapterSpec, Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -27,6 +27,9 @@ pub struct ModelSpec {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(deserialize_with = "WeightFormat::choice")]
     pub quantize: Option<WeightFormat>,
+    /// What is merged into its weights, where no setting names another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<AdapterSpec>,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
@@ -226,6 +229,7 @@ impl ModelSpec {
             source,
             license: None,
             quantize: None,
+            adapter: None,
             tokenizer: None,
             draft_model: None,
             prompt_set: None,
@@ -305,6 +309,14 @@ impl ModelSpec {
             return Err(broken(
                 "quantize belongs to models of this machine; remove it".into(),
             ));
+        }
+        if matches!(spec.source, ModelSource::Endpoint(_)) && spec.adapter.is_some() {
+            return Err(broken(
+                "adapter belongs to models of this machine; remove it".into(),
+            ));
+        }
+        if let Some(adapter) = &mut spec.adapter {
+            adapter.start_at(base);
         }
         if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
             return Err(broken(

@@ -1,8 +1,9 @@
 //! Digests of what determines a model's answers besides its weights.
 
 use super::{ModelRegistry, ModelSource, ModelSpec};
+use crate::adapter::Adapter;
 use crate::trial::{hash_file, small_files};
-use crate::{MllmError, ModelPlace};
+use crate::{AdapterSpec, MllmError, ModelPlace};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -54,11 +55,23 @@ impl ModelRegistry {
                 add(folder_of(&model), &mut files)?;
             }
         }
-        if let Some(folder) = self.loading(spec)?.tokenizer {
+        let loading = self.loading(spec)?;
+        if let Some(folder) = loading.tokenizer {
             add(&folder, &mut files)?;
+        }
+        let mut description = description;
+        if let Some(adapter) = &loading.adapter {
+            description.insert("adapter".to_owned(), adapter_digest(adapter)?);
         }
         Ok(ModelInputs { files, description })
     }
+}
+
+/// The digest of an adapter's files. The path is no part of it, so that a folder can be moved.
+fn adapter_digest(spec: &AdapterSpec) -> Result<String, MllmError> {
+    let mut hasher = blake3::Hasher::new();
+    Adapter::open(spec)?.hash(&mut hasher)?;
+    Ok(hasher.finalize().to_hex().to_string())
 }
 
 fn folder_of(file: &Path) -> &Path {

@@ -28,9 +28,9 @@ pub use own_settings::{Asking, NamedBy};
 use super::source::Checkpoint;
 use super::trial::Trust;
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel,
-    MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat,
-    export_model,
+    AdapterSpec, CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading,
+    LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape,
+    WeightFormat, export_model,
 };
 use hub::{GgufChoice, HubFiles, HubName, HubPlace};
 use std::fmt;
@@ -120,6 +120,25 @@ impl ModelRegistry {
     pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
+    }
+
+    /// Sets what is merged into the weights; `None` keeps the adapter of the description.
+    pub fn with_adapter(mut self, adapter: Option<AdapterSpec>) -> Self {
+        self.loading.adapter = adapter;
+        self
+    }
+
+    /// The registry for a draft model, which has no adapter.
+    fn of_drafts(&self) -> Self {
+        self.clone().with_adapter(None)
+    }
+
+    /// What is merged into the weights of a model.
+    fn adapter(&self, spec: &ModelSpec) -> Option<AdapterSpec> {
+        self.loading
+            .adapter
+            .clone()
+            .or_else(|| spec.adapter.clone())
     }
 
     /// Sets the longest chat, tokens; `None` for that of the model.
@@ -299,7 +318,7 @@ impl ModelRegistry {
         let Some(draft) = spec.draft() else {
             return Ok(Box::new(model));
         };
-        let (place, loading) = (self.place(&draft)?, self.loading(&draft)?);
+        let (place, loading) = (self.place(&draft)?, self.of_drafts().loading(&draft)?);
         self.admit(&draft, &place, &loading)?;
         Ok(Box::new(without_panic(&place, || {
             model.with_draft_model(&place, &loading)
@@ -335,12 +354,12 @@ impl ModelRegistry {
             check.problems.extend(unopened);
         }
         if let Some(draft) = spec.draft() {
-            let mut problems = match self.check(&draft) {
+            let mut problems = match self.of_drafts().check(&draft) {
                 Ok(checked) => checked.problems,
                 Err(error) => vec![error.to_string()],
             };
             if problems.is_empty() && check.problems.is_empty() {
-                let (drafts, how) = (self.place_here(&draft)?, self.loading(&draft)?);
+                let (drafts, how) = (self.place_here(&draft)?, self.of_drafts().loading(&draft)?);
                 let fits = without_panic(&drafts, || {
                     LocalModel::check_draft([&place, &drafts], [&loading, &how])
                 });
@@ -361,7 +380,8 @@ impl ModelRegistry {
         let families = &self.loading.families;
         let here = self
             .place_here(spec)
-            .and_then(|place| Checkpoint::open(&place, None, families));
+            .and_then(|place| Checkpoint::open(&place, None, families))
+            .and_then(|checkpoint| checkpoint.adapted(self.adapter(spec).as_ref()));
         let checkpoint = match (here, &spec.source) {
             (
                 Err(error),
@@ -396,9 +416,9 @@ impl ModelRegistry {
         export_model(&spec.name, &place, &loading, &added, create, progress)
     }
 
-    /// The settings for a model without a description.
+    /// The settings for a model without a description and an adapter.
     pub fn plain_loading(&self) -> Loading {
-        self.loading.clone()
+        self.of_drafts().loading
     }
 
     /// The settings for a described model.
@@ -431,6 +451,7 @@ impl ModelRegistry {
         );
         Ok(Loading {
             quantize,
+            adapter: self.adapter(spec),
             tokenizer,
             expected,
             families,

@@ -1,6 +1,7 @@
 //! Where a model comes from: a folder with safetensors, GGUF files, the program itself, or random
 //! weights in a known shape.
 
+mod adapted;
 mod embedded;
 mod gguf;
 mod quantized;

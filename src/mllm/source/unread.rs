@@ -2,16 +2,23 @@
 
 use super::ModelFiles;
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, read_json};
+use crate::adapter::PEFT_CONFIG as ADAPTER;
+use crate::checkpoint::{ConfigObject, read_json, safetensors_folder};
 use std::path::Path;
 
-/// The configuration of a `LoRA` adapter.
-const ADAPTER: &str = "adapter_config.json";
 /// Keys of LLaVA's own repositories, whose tensors have other names and whose towers lie elsewhere.
 const ORIGINAL_LLAVA: [&str; 2] = ["mm_vision_tower", "mm_projector_type"];
 
-/// Checks that a folder holds a model, not an adapter for one.
+/// Checks that a folder holds a model, not an adapter alone.
 pub(super) fn check_folder(folder: &Path) -> Result<(), MllmError> {
+    if safetensors_folder::has_safetensors(folder) {
+        return Ok(());
+    }
+    check_without_adapter(folder)
+}
+
+/// Checks that a folder holds no adapter, where none is named.
+pub(super) fn check_without_adapter(folder: &Path) -> Result<(), MllmError> {
     let path = folder.join(ADAPTER);
     if !path.is_file() {
         return Ok(());
@@ -19,10 +26,13 @@ pub(super) fn check_folder(folder: &Path) -> Result<(), MllmError> {
     let adapter = read_json(&path)?;
     let root = ConfigObject::root(&path, &adapter)?;
     let base: Option<String> = root.value("base_model_name_or_path")?;
-    let base = base.map_or_else(|| "its base model".to_owned(), |base| format!("'{base}'"));
+    let base = base.map_or_else(
+        || "its base model".to_owned(),
+        |base| format!("'{}'", base.escape_debug()),
+    );
     let problem = format!(
-        "this folder holds a LoRA adapter for {base}, which is not read alone; merge it (merge_and_unload of peft, then \
-         save_pretrained) and name the merged folder"
+        "this folder holds an adapter for {base}; name that model, and the folder as its adapter: --adapter {}",
+        folder.display()
     );
     Err(root.error("base_model_name_or_path", problem))
 }
@@ -58,7 +68,7 @@ mod tests {
             (
                 ADAPTER,
                 r#"{"base_model_name_or_path": "org/base"}"#,
-                ["'org/base'", "merge it"],
+                ["'org/base'", "--adapter"],
             ),
             (
                 "config.json",

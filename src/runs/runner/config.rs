@@ -9,7 +9,7 @@ use planagent_agent::planner::{
     ReflectionSettings,
 };
 use planagent_agent::reasoning::{PromptSet, ReasoningConfig, Round};
-use planagent_mllm::{Trust, WeightFormat};
+use planagent_mllm::{AdapterSpec, Trust, WeightFormat};
 use planagent_planners::all_planners;
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,10 @@ pub struct MllmConfig {
     pub model: String,
     /// Do not use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
+    /// What is merged into the weights: the path of an adapter, or a table with `path` and
+    /// `changed_base`. `None` for that of the description.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<AdapterSpec>,
     /// Weight format in memory; `None` for that of the description or the files.
     #[serde(
         skip_serializing_if = "Option::is_none",
@@ -80,6 +84,7 @@ impl Default for MllmConfig {
         Self {
             model: "nano".to_owned(),
             offline: false,
+            adapter: None,
             quantize: None,
             context: None,
             ignore_memory: false,

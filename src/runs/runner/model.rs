@@ -228,6 +228,7 @@ pub fn model_registry(config: &Config, listener: &Listener) -> ModelRegistry {
     };
     let listener = Arc::clone(listener);
     ModelRegistry::new(models_folder(), hub)
+        .with_adapter(config.mllm.adapter.clone())
         .with_quantize(config.mllm.quantize)
         .with_context(config.mllm.context)
         .with_memory_check(memory)

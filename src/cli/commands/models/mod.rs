@@ -22,9 +22,13 @@ pub(crate) fn run(
 ) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {
-        ModelsCommand::List { csv } => list::run(&registry, *csv, printer),
+        // An adapter is one for the model that is named.
+        ModelsCommand::List { csv } => list::run(&registry.with_adapter(None), *csv, printer),
         ModelsCommand::Families { markdown } => families::run(*markdown, printer),
-        ModelsCommand::Show { model } => show::run(model, &registry, printer),
+        ModelsCommand::Show { model, .. } => show::run(model, &registry, printer),
+        ModelsCommand::Check { models, .. } if models.is_empty() => {
+            check::run(models, &registry.with_adapter(None), config, printer)
+        }
         ModelsCommand::Check { models, .. } => check::run(models, &registry, config, printer),
         ModelsCommand::Fetch { models, .. } => fetch::run(models, &registry, printer),
         ModelsCommand::Quantize(flags) => quantize::run(flags, &registry, printer),

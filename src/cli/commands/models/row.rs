@@ -34,6 +34,9 @@ pub(super) struct Row {
     pub problem: Option<String>,
     /// Its description: a file, or `built in`.
     pub description: Option<String>,
+    /// What is merged into its weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
     /// Its prompt set.
     pub prompt_set: Option<String>,
     /// Where the templates of its prompt set are: a folder, or `built in`.
@@ -146,6 +149,7 @@ impl Row {
             image_range,
             context,
             formats,
+            adapter,
             ..
         } = &outline;
         Self {
@@ -155,6 +159,7 @@ impl Row {
             image_tokens: image_size.and(Some(*image_tokens)),
             image_range: *image_range,
             context: Some(*context),
+            adapter: adapter.as_ref().map(ToString::to_string),
             memory: formats
                 .iter()
                 .map(|format| (format.weight_format.name(), format.memory))

@@ -34,6 +34,7 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
         row.place.as_ref().map(|place| place.display().to_string()),
     );
     fact("bytes", row.bytes.map(in_bytes));
+    fact("adapter", row.adapter.clone());
     fact("problem", row.problem.clone());
     fact("license", row.license.clone());
     fact("weights", row.size());
