@@ -71,11 +71,11 @@ pub struct Yarn {
     pub factor: f64,
     /// Context of the first training.
     pub original_context: f64,
-    /// Frequencies that turn more often within that context are kept.
+    /// Frequencies that turn more often within that context are kept; 32 where a file says nothing.
     pub beta_fast: f64,
-    /// Frequencies that turn less often within that context are divided.
+    /// Frequencies that turn less often within that context are divided; 1 where a file says nothing.
     pub beta_slow: f64,
-    /// Whether the two borders are whole pairs.
+    /// Whether the two borders are whole pairs (`truncate`), as they are in llama.cpp.
     pub truncate: bool,
     /// Factor of queries and keys (`attention_factor`).
     pub attention: f64,
