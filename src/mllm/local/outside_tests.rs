@@ -7,10 +7,11 @@ use super::test_reference::{
 };
 use super::{Loading, LocalModel, Sequence};
 use crate::checkpoint::read_json;
-use crate::source::ModelPlace;
+use crate::families::Families;
+use crate::source::{Checkpoint, ModelPlace};
 use candle_core::Tensor;
-use planagent_kernels::matrix::WeightFormat;
 use serde_json::Value;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// The data folder: `$PLANAGENT_DATA`, else `../shared/data`.
@@ -95,12 +96,42 @@ fn file_of(real: &Real) -> Option<(tempfile::TempDir, ModelPlace)> {
     Some((folder, ModelPlace::Gguf { model, mmproj }))
 }
 
-fn load(place: &ModelPlace, quantize: Option<WeightFormat>) -> LocalModel {
-    let loading = Loading {
-        quantize,
-        ..Loading::default()
-    };
-    LocalModel::load("real", place, &loading).unwrap()
+fn load(place: &ModelPlace) -> LocalModel {
+    LocalModel::load("real", place, &Loading::default()).unwrap()
+}
+
+/// The files' weights, written out in f32 as a folder: all arithmetic is exact then.
+fn written_out(place: &ModelPlace) -> tempfile::TempDir {
+    let mut checkpoint = Checkpoint::open(place, None, &Families::default()).unwrap();
+    let shapes: Vec<(String, Vec<usize>)> = checkpoint
+        .weights
+        .shapes()
+        .map(|(name, shape)| (name.to_owned(), shape.to_vec()))
+        .collect();
+    let offset = checkpoint.weights.norms_have_one();
+    let mut tensors = HashMap::new();
+    for (name, shape) in shapes {
+        let mut tensor = checkpoint.weights.take(&name, &shape).unwrap();
+        if offset && name.ends_with("norm.weight") {
+            tensor = (tensor - 1.0).unwrap();
+        }
+        tensors.insert(name, tensor);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    candle_core::safetensors::save(&tensors, path("model.safetensors")).unwrap();
+    for name in [
+        "config.json",
+        "generation_config.json",
+        "tokenizer.json",
+        "tokenizer_config.json",
+        "chat_template.jinja",
+    ] {
+        if let Some(text) = checkpoint.files.text(name).unwrap() {
+            std::fs::write(path(name), text).unwrap();
+        }
+    }
+    folder
 }
 
 fn list(value: &Value) -> Vec<u32> {
@@ -117,7 +148,7 @@ fn tokens_of_real_models_are_those_of_llama_cpp() {
         let Some((_folder, place)) = file_of(real) else {
             continue;
         };
-        let local = load(&place, None);
+        let local = load(&place);
         let mut wrong = Vec::new();
         for (index, text) in texts.iter().enumerate() {
             let expected = list(&reference["ids"][real.file][index]);
@@ -168,7 +199,8 @@ fn numbers_of_real_models_are_exact_in_f32_and_near_in_their_own_formats() {
         };
         let expected = &reference["models"][real.name];
         let ids = list(&expected["all_ids"]);
-        let exact = load(&place, Some(WeightFormat::F32));
+        let folder = written_out(&place);
+        let exact = load(&ModelPlace::Folder(folder.path().to_path_buf()));
         let text = reference["text"].as_str().unwrap();
         assert_eq!(exact.tokenizer.encode_chat(text).unwrap(), ids);
         let logits = logits_of(&exact, &ids);
@@ -185,7 +217,7 @@ fn numbers_of_real_models_are_exact_in_f32_and_near_in_their_own_formats() {
             assert_eq!(found, list(&run["exact"]["tokens"])[..count], "{run}");
         }
         drop(exact);
-        let own = logits_of(&load(&place, None), &ids);
+        let own = logits_of(&load(&place), &ids);
         assert_near(real, expected, &logits, &own, &ids);
     }
 }
@@ -270,7 +302,7 @@ fn a_long_text_needs_the_window() {
     let Some((_folder, place)) = file_of(real) else {
         return;
     };
-    let local = load(&place, None);
+    let local = load(&place);
     let text =
         "The road bends to the left behind the old mill, and a cart waits there. ".repeat(40);
     let ids = local.tokenizer.encode_chat(&text).unwrap();
