@@ -19,9 +19,9 @@ const ADVICE: [(&str, &str); 21] = [
     ("planagent scenarios list", "types"),
     ("planagent bench MODEL", "models"),
     ("planagent models show MODEL", "models"),
-    ("planagent models check MODEL", "models"),
+    ("planagent models check MODEL", "families"),
     ("planagent models check {}", "models"),
-    ("planagent models families --markdown", "models"),
+    ("planagent models families --markdown", "families"),
     ("planagent models quantize --adapter", "models"),
     ("planagent bench {}", "models"),
     ("planagent simulate --resume {run}", "damaged"),
@@ -154,16 +154,21 @@ fn lists_that_errors_name_exist() {
     let said =
         String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap();
     assert_eq!(command_in(&said), "planagent bench nano");
-    for line in [
-        "planagent bench nano --iterations 1 --warm-up 0",
-        "planagent models check nano",
-        "planagent models families --markdown",
-    ] {
-        assert_eq!(typed(work.path(), line).status.code(), Some(0), "{line}");
-    }
+    let bench = "planagent bench nano --iterations 1 --warm-up 0";
+    assert_eq!(typed(work.path(), bench).status.code(), Some(0));
     let output = typed(work.path(), "planagent models quantize --help");
     let help = String::from_utf8(output.stdout).unwrap();
     assert!(help.contains("--adapter"), "{help}");
+}
+
+#[test]
+fn the_page_of_families_is_written_as_it_says() {
+    let work = TempDir::new().unwrap();
+    let output = typed(work.path(), "planagent models families --markdown");
+    let page = String::from_utf8(output.stdout).unwrap();
+    assert!(page.starts_with("# Supported models\n"), "{page}");
+    let output = typed(work.path(), "planagent models check nano");
+    assert_eq!(output.status.code(), Some(0));
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! llama.cpp's LoRA in GGUF.
 
+use super::BaseModel;
+use super::about::{About, refused};
 use super::change::{Change, Entry, Factor, LowRank, Rows, Target};
 use super::initial::Initial;
 use super::source::AdapterFiles;
-use super::{About, BaseModel, refused};
 use crate::MllmError;
 use crate::checkpoint::{BaseTensor, RowOrder, TensorPlace};
 use crate::gguf::{GgufLayout, Header, llama, open_header};

@@ -8,6 +8,7 @@
 //! LoRA: Hu et al., arXiv:2106.09685. rsLoRA: Kalajdzievski, arXiv:2312.03732. DoRA: Liu et al.,
 //! arXiv:2402.09353. PiSSA: Meng et al., arXiv:2404.02948. OLoRA: Büyükakyüz, arXiv:2406.01775.
 
+mod about;
 mod change;
 mod fit;
 mod gguf;
@@ -36,21 +37,18 @@ mod reference_tests;
 #[cfg(test)]
 mod test_adapter;
 
+pub(crate) use about::PEFT_CONFIG;
 pub use spec::AdapterSpec;
 pub(crate) use target::BaseModel;
 
 use super::MllmError;
 use super::checkpoint::{MergedAdapter, TensorSource, Weights};
+use about::{PEFT_WEIGHTS, refused};
 use gguf::GgufAdapter;
 use peft::PeftAdapter;
 use source::AdapterFiles;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// The settings of a PEFT adapter.
-pub(crate) const PEFT_CONFIG: &str = "adapter_config.json";
-/// The tensors of a PEFT adapter.
-const PEFT_WEIGHTS: &str = "adapter_model.safetensors";
 
 /// An adapter whose settings and headers are read, and no weights.
 #[derive(Debug)]
@@ -123,24 +121,5 @@ impl Adapter {
             Form::Gguf(adapter) => adapter.entries(base)?,
         };
         target::merge(&path, files, entries, about, weights, base)
-    }
-}
-
-/// What an adapter says about itself beside its tensors.
-#[derive(Debug, Default)]
-struct About {
-    /// Its kind in words.
-    kind: String,
-    /// The model that it was trained for, as it says.
-    base: Option<String>,
-    /// Whether an adapted embedding is the output layer too where the base ties the two.
-    tied: bool,
-    notes: Vec<String>,
-}
-
-fn refused(path: &Path, problem: impl Into<String>) -> MllmError {
-    MllmError::Adapter {
-        path: path.to_path_buf(),
-        problem: problem.into(),
     }
 }

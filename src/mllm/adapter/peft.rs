@@ -1,11 +1,11 @@
 //! A folder of PEFT.
 
+use super::about::{About, PEFT_CONFIG, PEFT_WEIGHTS as WEIGHTS, refused};
 use super::change::{Change, Entry, Experts, Factor, LowRank, Rows, Target, flat};
 use super::initial::Initial;
 use super::names::{Name, Role};
 use super::settings::Settings;
 use super::source::AdapterFiles;
-use super::{About, PEFT_CONFIG, PEFT_WEIGHTS as WEIGHTS, refused};
 use crate::MllmError;
 use crate::checkpoint::{
     BaseTensor, TensorPlace, WeightFile, parse_json, read_text,

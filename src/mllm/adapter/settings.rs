@@ -1,7 +1,7 @@
 //! `adapter_config.json` of PEFT (0.21.2), as far as it decides the merged weights. Absent keys take
 //! the defaults of `LoraConfig`.
 
-use super::PEFT_CONFIG;
+use super::about::PEFT_CONFIG;
 use super::initial::Initial;
 use super::patterns::Patterns;
 use super::targeted::Targeted;

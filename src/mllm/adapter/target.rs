@@ -1,9 +1,9 @@
 //! Finds the tensors of the base that an adapter changes.
 
+use super::about::{About, refused};
 use super::change::{Change, Entry, Rows, Target};
 use super::merge::MergedTensor;
 use super::source::AdapterFiles;
-use super::{About, refused};
 use crate::MllmError;
 use crate::checkpoint::{BaseTensor, MergedAdapter, TensorPlace, TensorSource, Weights};
 use crate::gguf::GgufLayout;

@@ -111,16 +111,16 @@ fn take(
     };
     match version {
         Version::Gemm => {
-            scales.expect(&[groups, outputs])?;
-            zeros.expect(&[groups, padded])?;
+            scales.check_shape(&[groups, outputs])?;
+            zeros.check_shape(&[groups, padded])?;
         }
         Version::Gemv => {
-            zeros.expect(&[outputs, padded])?;
-            scales.expect(&[outputs, padded * IN_WORD])?;
+            zeros.check_shape(&[outputs, padded])?;
+            scales.check_shape(&[outputs, padded * IN_WORD])?;
         }
         Version::GemvFast => {
-            zeros.expect(&[padded, outputs])?;
-            scales.expect(&[padded, outputs])?;
+            zeros.check_shape(&[padded, outputs])?;
+            scales.check_shape(&[padded, outputs])?;
         }
     }
     let places = if version == Version::Gemv {

@@ -70,7 +70,7 @@ fn four(
     let numbers = table
         .need(&name, "weight.quant_map")?
         .of_type(&[Dtype::F32])?;
-    numbers.expect(&[16])?;
+    numbers.check_shape(&[16])?;
     let &[outputs, inputs] = state.shape.as_slice() else {
         return Err(state_part.error(format!("shape {:?} is no matrix", state.shape)));
     };
@@ -87,7 +87,7 @@ fn four(
     };
     let runs = count.div_ceil(state.blocksize);
     let absmax = table.need_side(&name, "weight.absmax")?;
-    absmax.expect(&[runs])?;
+    absmax.check_shape(&[runs])?;
     let nested = match absmax.tensor.dtype {
         Dtype::F32 => None,
         _ => Some(nested(table, &name, &state, &state_part, runs)?),
@@ -119,14 +119,14 @@ fn nested(
     let numbers = table
         .need(name, "weight.nested_quant_map")?
         .of_type(&[Dtype::F32])?;
-    numbers.expect(&[256])?;
+    numbers.check_shape(&[256])?;
     let absmax = table
         .need(name, "weight.nested_absmax")?
         .of_type(&[Dtype::F32])?;
     let Some(run) = state.nested_blocksize.filter(|run| *run > 0) else {
         return Err(state_part.error("scales of 8 bits need nested_blocksize"));
     };
-    absmax.expect(&[runs.div_ceil(run)])?;
+    absmax.check_shape(&[runs.div_ceil(run)])?;
     let offset = state.nested_offset.unwrap_or(0.0);
     Ok(Nested {
         run,
@@ -192,7 +192,7 @@ fn eight(table: &mut TensorTable, name: String) -> Result<PackedLayer, MllmError
     let codes = table.need(&name, "weight")?.of_type(&[Dtype::I8])?;
     let largest = table.need_side(&name, "SCB")?.of_type(&[Dtype::F32])?;
     let [outputs, inputs] = codes.matrix()?;
-    largest.expect(&[outputs])?;
+    largest.check_shape(&[outputs])?;
     if let Some(order) = table.take(&name, "weight_format")
         && (order.tensor.bytes > 8 || order.bytes()?.iter().any(|byte| *byte != 0))
     {

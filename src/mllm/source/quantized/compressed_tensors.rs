@@ -258,7 +258,7 @@ fn bytes(
 
 /// The shape that a tensor of two numbers holds.
 fn stored_shape(shape: &Part) -> Result<[usize; 2], MllmError> {
-    shape.expect(&[2])?;
+    shape.check_shape(&[2])?;
     let bytes = shape.bytes()?;
     let numbers: Vec<i64> = match shape.tensor.dtype {
         Dtype::I64 => {
@@ -281,7 +281,7 @@ fn stored_shape(shape: &Part) -> Result<[usize; 2], MllmError> {
 
 /// The groups of columns that a tensor lists.
 fn listed(columns: &Part, places: Places, inputs: usize) -> Result<Places, MllmError> {
-    columns.expect(&[inputs])?;
+    columns.check_shape(&[inputs])?;
     let groups = columns.words()?;
     let Places::Blocks {
         columns: size,
@@ -330,14 +330,14 @@ impl Integers {
     /// The zero points of codes.
     fn zero_points(&self, zeros: &Part) -> Result<Vec<i16>, MllmError> {
         if zeros.tensor.dtype == Dtype::I8 {
-            zeros.expect(self.scale.shape())?;
+            zeros.check_shape(self.scale.shape())?;
             let bytes = zeros.bytes()?;
             let signed = bytes.into_iter().map(|byte| i16::from(byte.cast_signed()));
             return Ok(signed.map(|zero| zero + self.offset()).collect());
         }
         let groups = self.scale.shape().get(1).copied().unwrap_or(1);
         let words = words_of(self.outputs, self.bits).unwrap_or(usize::MAX);
-        zeros.expect(&[words, groups])?;
+        zeros.check_shape(&[words, groups])?;
         let words = zeros.words()?;
         let zero = |index: usize| {
             let stream = BitStream {

@@ -80,7 +80,7 @@ fn take(
         None => None,
     };
     let ([words, outputs], [groups, wide]) = (codes.matrix()?, zeros.matrix()?);
-    scales.expect(&[groups, outputs])?;
+    scales.check_shape(&[groups, outputs])?;
     // Layers may have widths of their own, which the width of the zero points tells.
     let fits = |bits: &u32| words_of(outputs, *bits) == Some(wide);
     let bits = [bits]
@@ -103,7 +103,7 @@ fn take(
         return Err(scales.error(format!("{groups} groups of {inputs} inputs")));
     }
     if let Some(columns) = &columns {
-        columns.expect(&[inputs])?;
+        columns.check_shape(&[inputs])?;
     }
     Ok(PackedLayer {
         name,

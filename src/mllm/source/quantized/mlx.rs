@@ -82,7 +82,7 @@ fn take(table: &mut TensorTable, name: String, groups: Groups) -> Result<PackedL
     let minima = minima.of_type(&FLOATS)?;
     let Groups { size, bits } = groups;
     let ([outputs, words], [rows, across]) = (codes.matrix()?, scales.matrix()?);
-    minima.expect(scales.shape())?;
+    minima.check_shape(scales.shape())?;
     let inputs = across.checked_mul(size);
     let needed = inputs.and_then(|inputs| inputs.checked_mul(bits as usize));
     let Some(inputs) = inputs.filter(|_| rows == outputs && needed == words.checked_mul(32)) else {

@@ -28,7 +28,7 @@ impl Part {
     }
 
     /// Checks its shape.
-    pub(super) fn expect(&self, shape: &[usize]) -> Result<(), MllmError> {
+    pub(super) fn check_shape(&self, shape: &[usize]) -> Result<(), MllmError> {
         if self.shape() == shape {
             return Ok(());
         }
