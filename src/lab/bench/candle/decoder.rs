@@ -28,7 +28,7 @@ pub(super) enum Decoder {
     QuantizedGemma3(Box<[quantized_gemma3::ModelWeights; 2]>),
 }
 
-/// A decoder, and what is told of it.
+/// A decoder with its facts.
 pub(super) struct Opened {
     pub decoder: Decoder,
     pub parameters: u64,

@@ -131,7 +131,7 @@ fn agreement(place: &ModelPlace, model: ModelChoice, folder: &Path) -> Agreement
             )
         })
         .collect();
-    Agreement::of("tiny", EngineName::Candle, &pairs).unwrap()
+    Agreement::between("tiny", EngineName::Candle, &pairs).unwrap()
 }
 
 #[test]
