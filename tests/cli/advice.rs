@@ -11,7 +11,7 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Commands in the texts of the program, as its sources have them, and what shows that they work.
 /// Placeholders stand in braces or capital letters.
-const ADVICE: [(&str, &str); 17] = [
+const ADVICE: [(&str, &str); 21] = [
     ("planagent {command}", "renamed"),
     ("planagent config", "config"),
     // `a_configuration_file_is_not_overwritten_and_the_command_it_names_works`.
@@ -19,6 +19,10 @@ const ADVICE: [(&str, &str); 17] = [
     ("planagent scenarios list", "types"),
     ("planagent bench MODEL", "models"),
     ("planagent models show MODEL", "models"),
+    ("planagent models check MODEL", "families"),
+    ("planagent models check {}", "models"),
+    ("planagent models families --markdown", "families"),
+    ("planagent models quantize --adapter", "models"),
     ("planagent bench {}", "models"),
     ("planagent simulate --resume {run}", "damaged"),
     ("planagent simulate --resume {}", "damaged"),
@@ -152,6 +156,19 @@ fn lists_that_errors_name_exist() {
     assert_eq!(command_in(&said), "planagent bench nano");
     let bench = "planagent bench nano --iterations 1 --warm-up 0";
     assert_eq!(typed(work.path(), bench).status.code(), Some(0));
+    let output = typed(work.path(), "planagent models quantize --help");
+    let help = String::from_utf8(output.stdout).unwrap();
+    assert!(help.contains("--adapter"), "{help}");
+}
+
+#[test]
+fn the_page_of_families_is_written_as_it_says() {
+    let work = TempDir::new().unwrap();
+    let output = typed(work.path(), "planagent models families --markdown");
+    let page = String::from_utf8(output.stdout).unwrap();
+    assert!(page.starts_with("# Supported models\n"), "{page}");
+    let output = typed(work.path(), "planagent models check nano");
+    assert_eq!(output.status.code(), Some(0));
 }
 
 #[test]

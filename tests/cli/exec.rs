@@ -365,7 +365,7 @@ fn a_study_compares_a_command() -> Needy {
 }
 
 #[test]
-fn equal_failures_are_printed_once() {
+fn equal_failures_are_one_line_at_once_and_one_at_the_end() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
     let flags = [
@@ -383,7 +383,7 @@ fn equal_failures_are_printed_once() {
     ];
     let (code, _, stderr) = run(&flags);
     assert_eq!(code, 1, "{stderr}");
-    assert_eq!(stderr.matches("hello").count(), 1, "{stderr}");
+    assert_eq!(stderr.matches("hello").count(), 2, "{stderr}");
     assert!(
         stderr.contains("in the same way failed 4 more: ") && stderr.contains("and 1 more"),
         "{stderr}"

@@ -124,6 +124,8 @@ fn offered(work: &Path, line: &[&str]) -> Vec<String> {
     let output = planagent()
         .env("PLANAGENT_COMPLETE", "bash")
         .env("_CLAP_COMPLETE_INDEX", last)
+        // The models of the working directory, as a user has them.
+        .env_remove("PLANAGENT_MODELS")
         .arg("--")
         .args(words)
         .current_dir(work)

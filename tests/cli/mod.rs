@@ -773,7 +773,7 @@ fn help_lists_planners_suites_and_studies_with_their_sizes() {
     let study = help("study");
     assert!(
         study.contains(
-            "latency-aware, recorded, interactive, agents, tokens, twins; all for all of these"
+            "recorded, interactive, ceilings, agents, tokens, twins; all for all of these"
         ),
         "{study}"
     );

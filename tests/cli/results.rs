@@ -3,6 +3,7 @@
 use super::{planagent, refused, run};
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 use tempfile::TempDir;
 
 /// Runs in a working directory; gives exit code, stdout and stderr.
@@ -388,10 +389,15 @@ fn a_run_says_what_to_do_next_and_each_line_works() {
     assert!(next.contains(command), "{next}");
     let transcript = next
         .lines()
-        .find(|line| line.ends_with("transcript.md'"))
+        .find(|line| line.ends_with("transcript.md"))
         .unwrap();
-    let file = work.path().join(transcript.trim().trim_matches('\''));
-    assert!(file.is_file(), "{transcript}");
+    // The line is what a shell takes, quotes and star included.
+    let shown = Command::new("sh")
+        .args(["-c", &format!("test -f {}", transcript.trim())])
+        .current_dir(work.path())
+        .status()
+        .unwrap();
+    assert!(shown.success(), "{transcript}");
     let advised: Vec<&str> = next
         .lines()
         .filter_map(|line| line.strip_prefix("  planagent "))

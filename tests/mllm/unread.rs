@@ -99,7 +99,7 @@ fn weights_that_are_not_read_are_named_with_what_to_take() {
         adapter
             .error()
             .to_string()
-            .contains("LoRA adapter for 'org/base'")
+            .contains("an adapter for 'org/base'")
     );
 
     let pickled = Copy::new();

@@ -55,7 +55,7 @@ pub(super) struct GlobalArguments {
     /// Configuration file [default: planagent.toml here].
     ///
     /// By default planagent.toml in the working directory, if it exists.
-    #[arg(long, global = true, value_name = "FILE", help_heading = GLOBAL)]
+    #[arg(long, global = true, value_name = "FILE", help_heading = GLOBAL, hide_short_help = true)]
     pub(super) config: Option<PathBuf>,
     /// Replace a setting, for example reflection.threshold=0.5.
     ///

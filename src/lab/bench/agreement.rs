@@ -31,7 +31,7 @@ impl Agreement {
     ///
     /// # Errors
     /// When the engines have different vocabularies.
-    pub(super) fn of(
+    pub(super) fn between(
         model: &str,
         engine: EngineName,
         pairs: &[(Answered, Answered)],
@@ -99,7 +99,7 @@ mod tests {
     fn answers_are_compared_up_to_the_first_other_token() {
         let ours = (vec![1.0, 2.0], vec![1, 5, 6]);
         let theirs = (vec![1.5, 2.0], vec![1, 5, 7]);
-        let found = Agreement::of(
+        let found = Agreement::between(
             "m",
             EngineName::Candle,
             &[(ours.clone(), theirs), (ours.clone(), ours.clone())],
@@ -111,6 +111,6 @@ mod tests {
             (2, 5, 6)
         );
         let wide = (vec![0.0; 3], vec![1]);
-        assert!(Agreement::of("m", EngineName::Candle, &[(ours, wide)]).is_err());
+        assert!(Agreement::between("m", EngineName::Candle, &[(ours, wide)]).is_err());
     }
 }

@@ -233,7 +233,7 @@ impl Bench<'_> {
             pairs.push((own, theirs.engine.answer(prompt, ANSWER)?));
         }
         let engine = theirs.engine.name();
-        Agreement::of(&self.candidate.name, engine, &pairs)
+        Agreement::between(&self.candidate.name, engine, &pairs)
             .map_err(|problem| EngineError::Failed { engine, problem })
     }
 

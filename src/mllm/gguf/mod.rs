@@ -45,7 +45,7 @@ pub(crate) const TOKENIZER: &str = "tokenizer.json";
 pub(crate) const TEMPLATE: &str = "chat_template.jinja";
 
 /// Metadata keys with their values. Floats are of 32 bits in a file.
-pub type Entries = Vec<(String, Value)>;
+pub(crate) type Entries = Vec<(String, Value)>;
 
 /// How llama.cpp's files hold a model family: a decoder, and a vision tower beside it where the
 /// family has one.

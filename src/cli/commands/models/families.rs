@@ -42,7 +42,7 @@ struct Pair {
 }
 
 impl Row {
-    fn of(architecture: Architecture) -> Self {
+    fn from_architecture(architecture: Architecture) -> Self {
         let family = architecture.family();
         let About {
             models,
@@ -92,7 +92,10 @@ impl Row {
 
 /// Prints the families, as a table, as JSON or as the page of the documentation.
 pub(super) fn run(markdown: bool, printer: Printer) -> anyhow::Result<Exit> {
-    let rows: Vec<Row> = Families::default().iter().map(Row::of).collect();
+    let rows: Vec<Row> = Families::default()
+        .iter()
+        .map(Row::from_architecture)
+        .collect();
     if markdown {
         for line in page(&rows).lines() {
             printer.line(line);
@@ -155,10 +158,13 @@ mod tests {
         Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
     }
 
-    /// `planagent models families --markdown > docs/supported-models.md` writes it anew.
+    /// `planagent models families --markdown > docs/supported-models.md` writes it again.
     #[test]
     fn the_page_of_the_documentation_is_that_of_the_registry() {
-        let rows: Vec<Row> = Families::default().iter().map(Row::of).collect();
+        let rows: Vec<Row> = Families::default()
+            .iter()
+            .map(Row::from_architecture)
+            .collect();
         let path = root().join("docs/supported-models.md");
         if std::env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some() {
             std::fs::write(&path, page(&rows)).unwrap();
@@ -170,7 +176,7 @@ mod tests {
     #[test]
     fn what_a_family_says_of_itself_is_true() {
         for architecture in Families::default().iter() {
-            let (row, family) = (Row::of(architecture), architecture.family());
+            let (row, family) = (Row::from_architecture(architecture), architecture.family());
             assert_eq!(row.gguf.is_empty(), family.gguf.is_err(), "{row:?}");
             assert!(row.model_types().next().is_some(), "{row:?}");
             let (_, folder) = row.tested.split_once(": ").unwrap();

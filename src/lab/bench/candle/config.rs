@@ -64,14 +64,18 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
         return Err(unsupported("expected an object".to_owned()));
     };
     let kind = Kind::named(keys.get("model_type").and_then(Value::as_str).unwrap_or(""))?;
-    let mut all: Map<String, Value> = kind.defaults().as_object().cloned().unwrap_or_default();
+    let mut all: Map<String, Value> = match kind.defaults() {
+        Value::Object(all) => all,
+        _ => Map::new(),
+    };
     all.extend(
         keys.iter()
             .filter(|(_, value)| !value.is_null())
             .map(|(key, value)| (key.clone(), value.clone())),
     );
-    let heads = all.get("num_attention_heads").cloned().unwrap_or_default();
-    all.entry("num_key_value_heads").or_insert(heads);
+    if let Some(heads) = all.get("num_attention_heads").cloned() {
+        all.entry("num_key_value_heads").or_insert(heads);
+    }
     let part = |name: &str| {
         let sections = ["rope_scaling", "rope_parameters"].map(|key| keys.get(key));
         let found = sections
@@ -80,7 +84,7 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
             .find(|section| !section.is_null());
         found.map(|section| section.get(name).unwrap_or(section).clone())
     };
-    let section = part("full_attention").unwrap_or_default();
+    let section = part("full_attention").unwrap_or(Value::Null);
     let rope_type = section.get("rope_type").or(section.get("type"));
     match rope_type.and_then(Value::as_str).unwrap_or("default") {
         "default" | "mrope" => {
@@ -101,7 +105,7 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
         theta.cloned().unwrap_or(json!(kind.theta())),
     );
     if kind == Kind::Gemma3 {
-        let local = part("sliding_attention").unwrap_or_default();
+        let local = part("sliding_attention").unwrap_or(Value::Null);
         let local = local.get("rope_theta").or(keys.get("rope_local_base_freq"));
         all.insert(
             "rope_local_base_freq".to_owned(),

@@ -28,7 +28,7 @@ pub(super) enum Decoder {
     QuantizedGemma3(Box<[quantized_gemma3::ModelWeights; 2]>),
 }
 
-/// A decoder, and what is told of it.
+/// A decoder with its facts.
 pub(super) struct Opened {
     pub decoder: Decoder,
     pub parameters: u64,
@@ -102,7 +102,10 @@ impl Opened {
             let value = content.metadata.get(key)?;
             value.to_string().ok().cloned()
         };
-        let architecture = text("general.architecture").unwrap_or_default();
+        let Some(architecture) = text("general.architecture") else {
+            let problem = format!("{}: general.architecture is missing", path.display());
+            return Err(CandleError::Unsupported(problem));
+        };
         let kind = Kind::named(&architecture)?;
         let key = format!("{architecture}.rope.scaling.type");
         if let Some(scaling) = text(&key).filter(|scaling| scaling != "none") {

@@ -131,7 +131,7 @@ fn agreement(place: &ModelPlace, model: ModelChoice, folder: &Path) -> Agreement
             )
         })
         .collect();
-    Agreement::of("tiny", EngineName::Candle, &pairs).unwrap()
+    Agreement::between("tiny", EngineName::Candle, &pairs).unwrap()
 }
 
 #[test]
@@ -146,6 +146,7 @@ fn folders_give_the_logits_and_tokens_of_candle() {
     }
 }
 
+/// Measured: 1.8e-6 for Llama, 2.6e-6 for Qwen 2, 1.5e-3 for Qwen 3, 0.59 for Gemma 3.
 #[test]
 fn gguf_files_give_the_logits_of_candle() {
     for (name, folder) in decoders() {
@@ -165,9 +166,20 @@ fn gguf_files_give_the_logits_of_candle() {
             projector: None,
         });
         let found = agreement(&place, model, folder.path());
-        println!("{name}: {}", found.in_words());
-        // Some of candle's quantized classes round keys, values or angles to 16 bits.
-        assert!(found.largest < 2e-2, "{name}: {}", found.in_words());
+        let (least, most) = match name {
+            // The angles of candle's class have 16 bits.
+            "qwen3" => (0.0, 5e-3),
+            // candle 0.11 computes SiLU in its quantized class, where Gemma 3 has GELU. So the
+            // comparison shows it; a version without the error fails here.
+            "gemma3" => (1e-2, f64::INFINITY),
+            _ => (0.0, 1e-4),
+        };
+        let largest = found.largest;
+        assert!(
+            least <= largest && largest < most,
+            "{name}: {}",
+            found.in_words()
+        );
     }
 }
 
