@@ -46,7 +46,7 @@ impl ModelInput<'_> {
             description,
             names: Names::from_graph(graph),
             // What reads text alone is told nothing of a picture.
-            legend: takes.map(|_| bev::Palette::legend()).unwrap_or_default(),
+            legend: takes.map_or_else(String::new, |_| bev::Palette::legend()),
         })
     }
 

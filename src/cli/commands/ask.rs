@@ -85,8 +85,7 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
     }
     let legend = image
         .as_ref()
-        .map(|_| Palette::legend())
-        .unwrap_or_default();
+        .map_or_else(String::new, |_| Palette::legend());
     let question = FreeQuestion {
         question: &flags.question,
         scene_text: scene_text.as_deref(),
