@@ -114,7 +114,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         "runs/runner",
         &[
             &["sample"],
-            &["commands", "event", "machine", "result_version", "shard"],
+            &[
+                "commands",
+                "event",
+                "machine",
+                "result_version",
+                "shard",
+                "tables",
+            ],
             &["of_run"],
             &["config"],
             &["error"],

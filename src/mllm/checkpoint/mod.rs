@@ -4,6 +4,7 @@ mod config;
 mod decoder_type;
 mod files;
 mod finite;
+mod forecast;
 mod gemma_config;
 mod layers;
 mod llama_config;

@@ -283,20 +283,8 @@ impl Weights {
         }
     }
 
-    /// The format in memory of a tensor that is not taken yet.
-    pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
-        let stored = self.tensors.get(name)?;
-        let shape = &stored.place.shape;
-        match shape.as_slice() {
-            [_, inputs] if is_matrix(name, shape) => {
-                Some(self.planned(self.plan, name, stored, *inputs).weight_format)
-            }
-            _ => Some(WeightFormat::F32),
-        }
-    }
-
     /// The format in memory of a matrix with `inputs` columns.
-    fn planned(
+    pub(super) fn planned(
         &self,
         plan: WeightFormatPlan,
         name: &str,
@@ -322,56 +310,6 @@ impl Weights {
         }
         self.packed(stored)
             .map_or_else(|| stored.place.format.name(), |form| form.label.clone())
-    }
-
-    /// Names, shapes and formats in memory of the matrices that are left, with another wanted
-    /// format.
-    pub(crate) fn matrices(
-        &self,
-        quantize: Option<WeightFormat>,
-    ) -> impl Iterator<Item = (&str, [usize; 2], WeightFormat)> {
-        let plan = WeightFormatPlan {
-            quantize,
-            ..self.plan
-        };
-        self.tensors
-            .iter()
-            .filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
-                shape @ &[outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = self.planned(plan, name, stored, inputs);
-                    Some((name.as_str(), [outputs, inputs], planned.weight_format))
-                }
-                _ => None,
-            })
-    }
-
-    /// The report of taking all tensors that are left, with another wanted format.
-    pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
-        let plan = WeightFormatPlan {
-            quantize,
-            ..self.plan
-        };
-        let mut report = LoadReport {
-            quantize,
-            adapter: self.report.adapter.clone(),
-            ..LoadReport::default()
-        };
-        for (name, stored) in &self.tensors {
-            let shape = &stored.place.shape;
-            match shape.as_slice() {
-                [outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = self.planned(plan, name, stored, *inputs);
-                    let bytes = planned
-                        .weight_format
-                        .matrix_bytes(*outputs, *inputs)
-                        .unwrap_or(usize::MAX);
-                    let file = self.format_name(stored);
-                    report.add_matrix(name, file, planned, bytes as u64, None);
-                }
-                _ => report.add(WeightFormat::F32, f32_bytes(shape)),
-            }
-        }
-        report
     }
 
     /// Takes a tensor out, in f32.
@@ -587,7 +525,7 @@ impl Weights {
     }
 }
 
-fn f32_bytes(shape: &[usize]) -> u64 {
+pub(super) fn f32_bytes(shape: &[usize]) -> u64 {
     shape
         .iter()
         .fold(4, |product: u64, side| product.saturating_mul(*side as u64))

@@ -1,6 +1,7 @@
 //! The configuration of a run.
 
 use super::of_run::OfRun;
+use super::tables::{collect_changes, leaves, line_of, overlay};
 use crate::report::RenamedSetting;
 use planagent_agent::environment::BevView;
 use planagent_agent::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
@@ -15,7 +16,6 @@ use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use toml::de::DeTable;
 
 /// Longest time between two planning calls, seconds.
 const MAX_INTERVAL_S: f64 = 100.0;
@@ -406,62 +406,6 @@ fn check_names(
         Ok(())
     } else {
         Err(faults.join("; "))
-    }
-}
-
-/// The line of a key of a section in a text of TOML, from 1.
-fn line_of(text: &str, section: &str, name: &str) -> Option<usize> {
-    let document = DeTable::parse(text).ok()?.into_inner();
-    let section = document
-        .iter()
-        .find(|(key, _)| key.get_ref().as_ref() == section)?
-        .1;
-    let mut keys = section.get_ref().as_table()?.keys();
-    let key = keys.find(|key| key.get_ref().as_ref() == name)?;
-    Some(text.get(..key.span().start)?.matches('\n').count() + 1)
-}
-
-/// Replaces values of a table by those of another; tables within are merged.
-fn overlay(below: &mut toml::Table, above: toml::Table) {
-    for (key, value) in above {
-        match (below.get_mut(&key), value) {
-            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
-            (_, value) => {
-                below.insert(key, value);
-            }
-        }
-    }
-}
-
-/// The dotted keys of a table's values.
-fn leaves(prefix: &str, table: &toml::Table, on_key: &mut dyn FnMut(&str)) {
-    for (name, value) in table {
-        match value {
-            toml::Value::Table(inner) => leaves(&format!("{prefix}{name}."), inner, on_key),
-            _ => on_key(&format!("{prefix}{name}")),
-        }
-    }
-}
-
-/// Adds the values of `own` that are not those of `default`.
-fn collect_changes(
-    prefix: &str,
-    own: &toml::Table,
-    default: &toml::Table,
-    changes: &mut Vec<(String, toml::Value)>,
-) {
-    for (name, value) in own {
-        let key = format!("{prefix}{name}");
-        match (value, default.get(name)) {
-            (toml::Value::Table(inner), Some(toml::Value::Table(default))) => {
-                collect_changes(&format!("{key}."), inner, default, changes);
-            }
-            (value, default) if default == Some(value) => {}
-            (toml::Value::Table(inner), None) => {
-                collect_changes(&format!("{key}."), inner, &toml::Table::new(), changes);
-            }
-            (value, _) => changes.push((key, value.clone())),
-        }
     }
 }
 

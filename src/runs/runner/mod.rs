@@ -23,6 +23,7 @@ pub mod sample;
 pub mod selection;
 mod shard;
 pub mod simulate;
+mod tables;
 mod watch;
 
 pub use commands::CommandError;
