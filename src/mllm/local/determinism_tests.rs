@@ -4,7 +4,7 @@ use super::Sequence;
 use crate::checkpoint::{ModelFiles, Weights};
 use crate::decoder::Logits;
 use crate::families::{Architecture, Families};
-use crate::family::VisionLanguageModel;
+use crate::family::{ImageFeatures, VisionLanguageModel};
 use candle_core::Tensor;
 use image::RgbImage;
 use serde_json::{Value, json};
