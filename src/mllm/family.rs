@@ -295,10 +295,10 @@ pub trait ChatFormat: Debug + Send + Sync {
     /// From now on, chats end where the model begins to think.
     ///
     /// # Errors
-    /// When the family's chats know no thoughts.
+    /// When the family's chats know no thinking.
     fn let_think(&mut self) -> Result<(), MllmError> {
         Err(MllmError::Request {
-            problem: "generation.thinking: chats of this family know no thoughts".into(),
+            problem: "generation.thinking: chats of this family know no thinking".into(),
         })
     }
 }

@@ -77,7 +77,7 @@ pub use family::{
     About, Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageRange, ImageSettings,
     ModelInfo, OpenedModel, PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
-pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
+pub use gguf::{GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{
     FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline,

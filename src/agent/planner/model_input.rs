@@ -45,7 +45,7 @@ impl ModelInput<'_> {
                 .map(|(form, description)| text::write(description, form)),
             description,
             names: Names::from_graph(graph),
-            // What reads text alone is told nothing of a picture.
+            // A model that reads text alone gets no words about a picture.
             legend: takes.map_or_else(String::new, |_| bev::Palette::legend()),
         })
     }

@@ -51,6 +51,9 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
     if flags.question.trim().is_empty() {
         bail!("the question is empty; write it as one word of the command line, in quotes");
     }
+    if !config.environment.bev {
+        bail!("environment.bev is false, and ask shows a picture; leave the setting out");
+    }
     let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
@@ -145,9 +148,6 @@ fn picture(
     let Some(pixels) = model.describe().image_size else {
         return Ok(None);
     };
-    if !config.environment.bev {
-        bail!("environment.bev is false, and ask shows a picture; leave the setting out");
-    }
     let view = BevView::new(pixels, config.environment.view_m)?;
     Ok(Some(Arc::new(render(scene, &view))))
 }

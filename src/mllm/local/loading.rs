@@ -30,7 +30,7 @@ pub struct Loading {
     /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the
     /// model.
     pub context: Option<usize>,
-    /// Most tokens of thoughts before an answer; none for answers without thoughts.
+    /// Most tokens of thinking before an answer; none for answers without thinking.
     pub thinking: Option<usize>,
 }
 

@@ -6,7 +6,7 @@ use super::draft_model::Drafting;
 use super::generate::{End, Generated, generate};
 use super::likeliest::Search;
 use super::sequence::Sequence;
-use super::thinking::{ThinkingBounds, Thoughts};
+use super::thinking::{ThinkingBounds, ThinkingText};
 use crate::family::{Chat, ImageFeatures, ImageLayout};
 use crate::sampling::{Sampler, answer_seed};
 use crate::{
@@ -201,7 +201,7 @@ impl LocalConversation<'_> {
         request: &Request,
         context: usize,
         start: Instant,
-    ) -> Result<Option<Thoughts>, MllmError> {
+    ) -> Result<Option<ThinkingText>, MllmError> {
         let local = self.local;
         let Some(thinking) = &local.thinking else {
             return Ok(None);
@@ -214,7 +214,7 @@ impl LocalConversation<'_> {
             deadline: request.deadline,
             start,
         };
-        let thoughts = thinking.think(
+        let reasoned = thinking.think(
             &*local.model,
             &mut self.sequence,
             self.features.as_ref(),
@@ -222,7 +222,7 @@ impl LocalConversation<'_> {
             Sampler::new(request.sampling, seed)?,
             bounds,
         )?;
-        Ok(Some(thoughts))
+        Ok(Some(reasoned))
     }
 
     fn generate(
@@ -281,13 +281,13 @@ impl LocalConversation<'_> {
                 on_text(&new);
             }
         };
-        let thoughts = self.think(rest, request, context, start)?;
+        let reasoned = self.think(rest, request, context, start)?;
         // What the answer follows.
-        let thought = thoughts
+        let before = reasoned
             .as_ref()
-            .map_or(&[][..], |thoughts| thoughts.ids.as_slice());
-        let whole = [ids.as_slice(), thought].concat();
-        let computed_so_far = if thoughts.is_some() {
+            .map_or(&[][..], |reasoned| reasoned.ids.as_slice());
+        let whole = [ids.as_slice(), before].concat();
+        let computed_so_far = if reasoned.is_some() {
             let agree = self.sequence.agree(&whole);
             self.sequence
                 .truncate(agree.min(whole.len().saturating_sub(1)));
@@ -328,8 +328,8 @@ impl LocalConversation<'_> {
             .unwrap_or(rest);
         let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let prefix_time = std::mem::take(&mut self.prefix_time);
-        let [prefill, prefill_end, first_token] = match &thoughts {
-            Some(thoughts) => [thoughts.prefill, thoughts.prefill_end, thoughts.first_token],
+        let [prefill, prefill_end, first_token] = match &reasoned {
+            Some(reasoned) => [reasoned.prefill, reasoned.prefill_end, reasoned.first_token],
             None => [
                 generated.prefill,
                 generated.prefill_end,
@@ -344,7 +344,7 @@ impl LocalConversation<'_> {
                 cached,
                 fast_forwarded: generated.fast_forwarded,
                 sampled: generated.ids.len() - generated.fast_forwarded
-                    + thoughts.as_ref().map_or(0, |thoughts| thoughts.sampled),
+                    + reasoned.as_ref().map_or(0, |reasoned| reasoned.sampled),
                 drafted: generated.drafted,
                 accepted: generated.accepted,
             },

@@ -144,7 +144,7 @@ fn a_template_that_can_think_is_rendered_without_thoughts() {
     let folder = decoder_folder(&prompts, "model.language_model.");
     let template = "{%- for m in messages -%}{{- '<|im_start|>' + m.role + '\\n' + m.content + '<|im_end|>\\n' -}}{%- endfor -%}\
         {{- '<|im_start|>assistant\\n' -}}\
-        {%- if enable_thinking is defined and enable_thinking is false -%}{{- 'no thoughts' -}}{%- endif -%}";
+        {%- if enable_thinking is defined and enable_thinking is false -%}{{- 'no thinking' -}}{%- endif -%}";
     std::fs::write(folder.path().join("chat_template.jinja"), template).unwrap();
     let local = load(&ModelPlace::Folder(folder.path().to_path_buf())).unwrap();
     let chat = Chat {
@@ -155,10 +155,10 @@ fn a_template_that_can_think_is_rendered_without_thoughts() {
     };
     let ids = local.prompt_ids(&chat).unwrap();
     let read = local.tokenizer.decode_verbatim(&ids);
-    assert!(read.ends_with("no thoughts"), "{read}");
+    assert!(read.ends_with("no thinking"), "{read}");
 }
 
-/// A folder whose vocabulary has the token that ends thoughts, and whose template knows them.
+/// A folder whose vocabulary has the token that ends thinking, and whose template knows it.
 fn thinking_folder() -> tempfile::TempDir {
     let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     let folder = decoder_folder(&prompts, "model.language_model.");
@@ -221,7 +221,7 @@ fn thoughts_have_a_limit_of_their_own_and_are_no_part_of_an_answer() {
         texts(answer(Some(5), None)),
         texts(answer(Some(5), Some(vec![3, 4])))
     );
-    // Neither a vocabulary without the mark nor a template without thoughts is taken.
+    // Neither a vocabulary without the mark nor a template without thinking is taken.
     let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     let without = decoder_folder(&prompts, "model.language_model.");
     let loading = Loading {

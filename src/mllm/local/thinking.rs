@@ -1,5 +1,5 @@
-//! Thoughts of a model before its answer. They have a limit of their own, no grammar, and are no
-//! part of the answer.
+//! What a model thinks before its answer. It has a limit of its own, no grammar, and is no part of
+//! the answer.
 
 use super::generate::{End, Generated, generate};
 use super::sequence::Sequence;
@@ -9,25 +9,25 @@ use crate::text::ChatTokenizer;
 use crate::{Deadline, FinishReason, MllmError};
 use std::time::Instant;
 
-/// The token that ends thoughts.
+/// The token that ends thinking.
 const MARK: &str = "</think>";
-/// What stands between thoughts and answer in the chats of models that think.
+/// What stands between thinking and answer in the chats of models that think.
 const GAP: &str = "\n\n";
 
 /// How a model thinks.
 #[derive(Debug)]
 pub(super) struct Thinking {
-    /// Most tokens of thoughts.
+    /// Most tokens of thinking.
     limit: usize,
     mark: u32,
     /// Tokens behind the mark.
     gap: Vec<u32>,
-    /// Tokens before a mark that is put behind thoughts that reach the limit.
+    /// Tokens before a mark that is put behind thinking that reaches the limit.
     cut: Vec<u32>,
 }
 
-/// The thoughts before an answer.
-pub(super) struct Thoughts {
+/// The thinking before an answer.
+pub(super) struct ThinkingText {
     /// Their tokens, with those that end them.
     pub(super) ids: Vec<u32>,
     /// The tokens that the model wrote.
@@ -40,7 +40,7 @@ pub(super) struct Thoughts {
 }
 
 impl Thinking {
-    /// Thoughts of at most `limit` tokens.
+    /// Thinking of at most `limit` tokens.
     ///
     /// # Errors
     /// When the vocabulary has no token that ends them.
@@ -66,7 +66,7 @@ impl Thinking {
         prompt: &[u32],
         sampler: Sampler,
         at: ThinkingBounds<'_>,
-    ) -> Result<Thoughts, MllmError> {
+    ) -> Result<ThinkingText, MllmError> {
         let ends = [&[self.mark][..], at.ends].concat();
         let end = End {
             tokens: &ends,
@@ -100,7 +100,7 @@ impl Thinking {
         }
         ids.push(self.mark);
         ids.extend(&self.gap);
-        Ok(Thoughts {
+        Ok(ThinkingText {
             ids,
             sampled,
             prefill,
@@ -110,7 +110,7 @@ impl Thinking {
     }
 }
 
-/// What bounds thoughts besides their own limit.
+/// What bounds thinking besides its own limit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ThinkingBounds<'a> {
     /// Tokens that end an answer.

@@ -285,7 +285,7 @@ impl ModelSpec {
         }
         if spec.generation.thinking == Some(0) {
             return Err(broken(
-                "generation.thinking: thoughts need at least one token; leave the key out for none"
+                "generation.thinking: it needs at least one token; leave the key out for none"
                     .into(),
             ));
         }

@@ -10,8 +10,8 @@ pub struct GenerationSettings {
     /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
     pub sampling: Sampling,
-    /// Most tokens of a model's thoughts before each answer; none for answers without thoughts. The
-    /// model's chat template must know thoughts.
+    /// Most tokens of a model's thinking before each answer; none for answers without thinking. The
+    /// model's chat template must know thinking.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub thinking: Option<usize>,
 }

@@ -18,7 +18,7 @@ pub(crate) struct ChatTemplate {
     content: Content,
     /// The placeholder of an image; none in a model that reads text alone.
     image_token: Option<String>,
-    /// Whether it mentions thoughts.
+    /// Whether it mentions thinking.
     knows_thoughts: bool,
     /// Whether chats end where the model begins to think.
     thinks: bool,
@@ -64,7 +64,7 @@ impl ChatTemplate {
     /// From now on, chats end where the model begins to think.
     ///
     /// # Errors
-    /// When the template knows no thoughts.
+    /// When the template knows no thinking.
     pub(crate) fn let_think(&mut self) -> Result<(), MllmError> {
         if !self.knows_thoughts {
             return Err(MllmError::ChatTemplate {
@@ -121,7 +121,7 @@ impl ChatTemplate {
                 .iter()
                 .map(|(role, token)| (role.as_str(), token.as_str())),
         );
-        // Unless a description wants thoughts, an answer begins at once.
+        // Unless a description wants thinking, an answer begins at once.
         let chat = context! {
             messages, add_generation_prompt => true, enable_thinking => self.thinks, ..special
         };
