@@ -45,11 +45,15 @@ impl GgufAdapter {
         }
         match header.text("adapter.type")? {
             Some("lora") => {}
-            found => {
+            Some(found) => {
                 let problem = format!(
                     "adapters of type '{}' are not supported; lora is",
-                    found.unwrap_or_default().escape_debug()
+                    found.escape_debug()
                 );
+                return Err(header.error("adapter.type", problem));
+            }
+            None => {
+                let problem = "is missing; adapters of type lora are supported";
                 return Err(header.error("adapter.type", problem));
             }
         }
@@ -79,14 +83,12 @@ impl GgufAdapter {
             header.error(ARCHITECTURE, problem)
         })?;
         let own = header.architecture()?;
-        if base
-            .architecture
-            .is_some_and(|architecture| architecture != own)
+        if let Some(architecture) = base.architecture
+            && architecture != own
         {
             let problem = format!(
-                "the adapter is for a decoder of architecture '{}', the model has '{}'",
-                own.escape_debug(),
-                base.architecture.unwrap_or_default()
+                "the adapter is for a decoder of architecture '{}', the model has '{architecture}'",
+                own.escape_debug()
             );
             return Err(header.error(ARCHITECTURE, problem));
         }
@@ -227,7 +229,10 @@ impl GgufAdapter {
         b: &TensorPlace,
         base: &BaseModel<'_>,
     ) -> Result<RowOrder, String> {
-        let architecture = self.header.architecture().unwrap_or_default();
+        let architecture = self
+            .header
+            .architecture()
+            .map_err(|error| error.to_string())?;
         let [queries, keys] = base.heads;
         let heads = match llama::projection(target) {
             Some("attn_q") if architecture == llama::ARCHITECTURE => queries,

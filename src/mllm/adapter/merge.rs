@@ -51,9 +51,9 @@ impl MergedTensor {
         match change {
             Change::Replace { tensor, rows, .. } => {
                 let new = tensor.values()?;
-                let places = rows.of_target(values, columns).iter_mut();
+                let places = rows.of_target(values, columns)?.iter_mut();
                 places
-                    .zip(rows.of_source(&new, columns))
+                    .zip(rows.of_source(&new, columns)?)
                     .for_each(|(place, new)| *place = *new);
             }
             Change::Add {
@@ -62,9 +62,9 @@ impl MergedTensor {
                 rows,
             } => {
                 let added = tensor.values()?;
-                let places = rows.of_target(values, columns).iter_mut();
+                let places = rows.of_target(values, columns)?.iter_mut();
                 places
-                    .zip(rows.of_source(&added, columns))
+                    .zip(rows.of_source(&added, columns)?)
                     .for_each(|(place, added)| *place += scale * added);
             }
             Change::Tokens { tensor, indices } => {
@@ -83,32 +83,37 @@ impl MergedTensor {
 
 impl Rows {
     /// The numbers of these rows in the base's tensor.
-    fn of_target(self, values: &mut [f32], columns: usize) -> &mut [f32] {
+    fn of_target(self, values: &mut [f32], columns: usize) -> Result<&mut [f32], MllmError> {
         match self {
-            Self::All => values,
+            Self::All => Ok(values),
             Self::Part { target, count, .. } => values
                 .get_mut(target * columns..(target + count) * columns)
-                .unwrap_or_default(),
+                .ok_or_else(rows_outside),
         }
     }
 
     /// The numbers of these rows in the adapter's tensor.
-    fn of_source(self, values: &[f32], columns: usize) -> &[f32] {
+    fn of_source(self, values: &[f32], columns: usize) -> Result<&[f32], MllmError> {
         match self {
-            Self::All => values,
+            Self::All => Ok(values),
             Self::Part { source, count, .. } => values
                 .get(source * columns..(source + count) * columns)
-                .unwrap_or_default(),
+                .ok_or_else(rows_outside),
         }
     }
+}
+
+/// The error of rows that a tensor does not have, though its shape was checked.
+fn rows_outside() -> MllmError {
+    candle_core::Error::Msg("the rows of an adapter lie outside of its tensor".to_owned()).into()
 }
 
 /// W + s L R, and of `DoRA` each output of it at the length that the adapter says.
 fn add_low_rank(low: &LowRank, values: &mut [f32], columns: usize) -> Result<(), MllmError> {
     subtract(&low.initial, values, columns, low.rank);
     let (left, right) = (low.left.values()?, low.right.values()?);
-    let left = low.rows.of_source(&left, low.rank);
-    let values = low.rows.of_target(values, columns);
+    let left = low.rows.of_source(&left, low.rank)?;
+    let values = low.rows.of_target(values, columns)?;
     add_product(values, columns, left, &right, low.rank, low.scale);
     let Some(magnitude) = &low.magnitude else {
         return Ok(());
@@ -123,7 +128,7 @@ fn add_low_rank(low: &LowRank, values: &mut [f32], columns: usize) -> Result<(),
             }
         }
     } else {
-        let magnitude = low.rows.of_source(&magnitude, 1);
+        let magnitude = low.rows.of_source(&magnitude, 1)?;
         for (row, magnitude) in values.chunks_exact_mut(columns).zip(magnitude) {
             let factor = magnitude / length(row);
             row.iter_mut().for_each(|value| *value *= factor);

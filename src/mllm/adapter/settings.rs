@@ -129,7 +129,7 @@ impl Settings {
         };
         let ranks = typed(&root, "rank_pattern", map("rank_pattern")?)?;
         let alphas = typed(&root, "alpha_pattern", map("alpha_pattern")?)?;
-        let parameters: Vec<String> = root.value("target_parameters")?.unwrap_or_default();
+        let parameters: Vec<String> = root.list("target_parameters")?;
         if parameters.len() > MAX_NAMED {
             return Err(root.error("target_parameters", format!("more than {MAX_NAMED} names")));
         }
@@ -148,7 +148,7 @@ impl Settings {
             targeted: Targeted::read(&root, MAX_LAYERS)?,
             start: start(&root, changed_base, &mut notes)?,
             older: version.is_some_and(|version| is_older(&version)),
-            saved: root.value("modules_to_save")?.unwrap_or_default(),
+            saved: root.list("modules_to_save")?,
             rank,
             alpha: root.value("lora_alpha")?.unwrap_or(8.0),
             rslora: flag(&root, "use_rslora")?,
@@ -355,11 +355,11 @@ impl Tokens {
     }
 }
 
-/// A list, or one entry.
+/// A list, or one entry; empty if absent.
 pub(super) fn listed<T: serde::de::DeserializeOwned + Clone>(
     root: &ConfigObject<'_>,
     key: &str,
-) -> Result<Option<Vec<T>>, MllmError> {
+) -> Result<Vec<T>, MllmError> {
     let value: Option<OneOrMany<T>> = root.value(key)?;
-    Ok(value.map(|value| value.as_slice().to_vec()))
+    Ok(value.map_or_else(Vec::new, |value| value.as_slice().to_vec()))
 }

@@ -35,11 +35,11 @@ impl Targeted {
     pub(super) fn read(root: &ConfigObject<'_>, most: usize) -> Result<Self, MllmError> {
         const LAYERS: &str = "layers_to_transform";
         const PATTERN: &str = "layers_pattern";
-        let layers: Vec<u64> = listed(root, LAYERS)?.unwrap_or_default();
+        let layers: Vec<u64> = listed(root, LAYERS)?;
         if layers.len() > most {
             return Err(root.error(LAYERS, format!("more than {most} layers")));
         }
-        let patterns: Vec<String> = listed(root, PATTERN)?.unwrap_or_default();
+        let patterns: Vec<String> = listed(root, PATTERN)?;
         if patterns.len() > MAX_PATTERNS {
             return Err(root.error(PATTERN, format!("more than {MAX_PATTERNS} patterns")));
         }
@@ -92,7 +92,7 @@ impl Modules {
             Some(Value::String(name)) if name.eq_ignore_ascii_case("all-linear") => Self::AllLinear,
             Some(Value::String(expression)) => Self::Matching(whole(root, key, &expression)?),
             Some(_) => {
-                let names: Vec<String> = root.value(key)?.unwrap_or_default();
+                let names: Vec<String> = root.list(key)?;
                 if names.len() > MAX_NAMES {
                     return Err(root.error(key, format!("more than {MAX_NAMES} modules")));
                 }

@@ -104,6 +104,11 @@ impl<'a> ConfigObject<'a> {
             .transpose()
     }
 
+    /// A list, empty if absent.
+    pub(crate) fn list<T: DeserializeOwned>(&self, key: &str) -> Result<Vec<T>, MllmError> {
+        Ok(self.value(key)?.unwrap_or_default())
+    }
+
     /// Reads a token id, or the first of a list; none if absent.
     pub(crate) fn first_id(&self, key: &str) -> Result<Option<u32>, MllmError> {
         Ok(self

@@ -30,6 +30,7 @@ pub(crate) use text_files::TextFiles;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, RowOrder, TensorPlace, WeightFile};
 use serde_json::Value;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -131,13 +132,14 @@ pub(crate) fn no_tower(decoder: &Header, mark: &str) -> MllmError {
             "vision tower (a GGUF file of architecture clip, 'mmproj') for {}, which is part of a vision model by {mark}; put it \
              beside the decoder, or name it under mmproj in the model's description; `vision = false` there opens the decoder \
              alone, as a language model that sees nothing",
-            decoder
-                .path
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
+            file_name(&decoder.path)
         ),
     }
+}
+
+/// The name of a file; empty for a path that ends in none.
+fn file_name(path: &Path) -> Cow<'_, str> {
+    path.file_name().unwrap_or_default().to_string_lossy()
 }
 
 /// The decoder (or whole model) among a folder's GGUF files; none if it has no such file.
@@ -152,10 +154,7 @@ pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
 
 /// Where a vision tower is looked for first, and written to.
 pub(crate) fn tower_path(model: &Path) -> PathBuf {
-    model.with_file_name(format!(
-        "mmproj-{}",
-        model.file_name().unwrap_or_default().to_string_lossy()
-    ))
+    model.with_file_name(format!("mmproj-{}", file_name(model)))
 }
 
 /// The vision tower in the folder of a decoder: the one that is named after it, else the only one.
@@ -174,7 +173,7 @@ pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
         .unwrap_or(Path::new("."));
     let (towers, unreadable) = files_of(folder, |architecture| architecture == TOWER)?;
     let is_named_so = |path: &Path| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = file_name(path);
         name.to_ascii_lowercase().contains("mmproj")
     };
     match towers.as_slice() {

@@ -56,7 +56,7 @@ impl Layout {
             return LlamaConfig::read(text, DecoderType::Qwen2);
         }
         // The authors' class goes by the first of these.
-        let names: Vec<String> = text.value("architectures")?.unwrap_or_default();
+        let names: Vec<String> = text.list("architectures")?;
         match names
             .first()
             .and_then(|name| DecoderType::of_architecture(name))

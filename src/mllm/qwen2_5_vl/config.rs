@@ -80,7 +80,7 @@ impl Qwen25VlConfig {
         }
         Ok(Self {
             window,
-            whole: vision.value("fullatt_block_indexes")?.unwrap_or_default(),
+            whole: vision.list("fullatt_block_indexes")?,
             merge,
             frames: count("temporal_patch_size", 16)?,
             image_token: image_token(&root, text.vocabulary)?,

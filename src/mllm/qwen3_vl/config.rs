@@ -72,9 +72,7 @@ impl Qwen3VlConfig {
         if !(tower.hidden / tower.heads).is_multiple_of(4) {
             return Err(vision.error("num_heads", "the width of a head must be a multiple of 4"));
         }
-        let deep: Vec<usize> = vision
-            .value("deepstack_visual_indexes")?
-            .unwrap_or_default();
+        let deep: Vec<usize> = vision.list("deepstack_visual_indexes")?;
         let text = text_config(&root, DecoderType::Qwen3Vl)?;
         if !deep.is_sorted()
             || deep.last().is_some_and(|last| *last >= tower.layers)

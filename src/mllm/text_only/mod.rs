@@ -115,7 +115,7 @@ fn config(files: &ModelFiles, unnamed: DecoderType) -> Result<LlamaConfig, MllmE
         files.required_json("config.json")?,
     );
     let root = ConfigObject::root(&path, &json)?;
-    let classes: Vec<String> = root.value("architectures")?.unwrap_or_default();
+    let classes: Vec<String> = root.list("architectures")?;
     let named = classes
         .first()
         .and_then(|class| DecoderType::of_architecture(class));

@@ -58,7 +58,7 @@ impl Schemes {
         let mut schemes = Self::default();
         let groups: Option<Map<String, Value>> = settings.value("config_groups")?;
         let groups_object = settings.child_or_empty("config_groups")?;
-        for name in groups.unwrap_or_default().keys() {
+        for name in groups.iter().flat_map(Map::keys) {
             // A list of targets under the name of a preset, such as W4A16.
             if let Ok(Some(group)) = groups_object.child(name) {
                 schemes.add(&group)?;
