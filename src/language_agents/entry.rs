@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Tokens of a chat with the prompts of these agents at least; scenes with many objects need more.
-const LEAST_CONTEXT: usize = 2_048;
+const MIN_CONTEXT: usize = 2_048;
 
 /// An agent by its prompts and settings.
 type Make<A> = fn(&PlanAgentSettings, Arc<QuestionPrompts>) -> Result<A, PlannerError>;
@@ -135,7 +135,7 @@ fn asking<A: LanguageAgent + 'static>(
     };
     PlannerEntry::new(PlannerName::new(name), summary, PlannerNeeds::Model, build)
         .refusing(|settings| (settings.agent.latency != Latency::None).then_some("agent.latency"))
-        .needing_context(LEAST_CONTEXT)
+        .needing_context(MIN_CONTEXT)
         .prepared_by(move |settings| made(of, settings).map(|_| ()))
         .reading(move |settings| read_texts(of, settings))
 }

@@ -18,6 +18,8 @@ const SCENES: [&str; 2] = [
     "generated/changing_lane/3",
     "generated/stopping_with_lead/1",
 ];
+/// Tokens of the context of nano.
+const NANO_CONTEXT: usize = 1024;
 /// The pinned results.
 const PINNED: &str = "tests/fixtures/pinned_results.toml";
 /// Environment variable that writes them again.
@@ -50,8 +52,11 @@ fn tasks() -> Vec<SimulationTask> {
         };
         let settings = PlanAgentSettings::default();
         let mut entries = all_planners().entries().to_vec();
-        // Learned planners need a checkpoint of somebody.
-        entries.retain(|entry| entry.prepare(&settings).is_ok());
+        // Learned planners need a checkpoint of somebody; prompts of some agents are longer than the
+        // context of the model that ships.
+        entries.retain(|entry| {
+            entry.prepare(&settings).is_ok() && entry.least_context() <= NANO_CONTEXT
+        });
         entries
             .into_iter()
             .map(|entry| entry.name)

@@ -215,7 +215,7 @@ impl GgufAdapter {
         };
         let canonical = layout.canonical_name(&self.header, target)?;
         Ok(Entry {
-            // A name that no tensor has is told as one that matches nothing.
+            // A name that no tensor has matches nothing, and the error says so.
             target: Target::Canonical(canonical.unwrap_or_else(|| target.to_owned())),
             tensor: format!("{target}.lora_a"),
             change,

@@ -185,7 +185,7 @@ impl PeftAdapter {
     /// New rows of an embedding.
     fn tokens(&self, module: &str, name: &str, tensor: BaseTensor) -> Result<Entry, MllmError> {
         let tokens = self.settings.tokens.as_ref();
-        let Some(indices) = tokens.and_then(|tokens| tokens.of(module)) else {
+        let Some(indices) = tokens.and_then(|tokens| tokens.of_module(module)) else {
             return Err(self.broken(name, "trainable_token_indices names no tokens for it"));
         };
         if tensor.shape().first() != Some(&indices.len()) {

@@ -339,7 +339,7 @@ fn is_older(version: &str) -> bool {
 
 impl Tokens {
     /// The rows of a module.
-    pub(super) fn of(&self, module: &str) -> Option<&[usize]> {
+    pub(super) fn of_module(&self, module: &str) -> Option<&[usize]> {
         match self {
             Self::OfTheInput(indices) => Some(indices),
             Self::OfModules(modules) => {

@@ -336,7 +336,7 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
         assert!(text.contains("(generated-test14-hard.svg)"), "{text}");
         let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
         if study.figure == Figure::Differences {
-            let columns = if study.paper.is_some() {
+            let columns = if reported {
                 "| NR | diff | 95 % interval | paper NR | paper diff | R | diff | 95 % interval | paper R | paper diff |"
             } else {
                 "| NR | diff | 95 % interval |"
