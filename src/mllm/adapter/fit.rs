@@ -45,7 +45,9 @@ impl Change {
                 let (left, right) = (low.left.shape()?, low.right.shape()?);
                 let rows = match low.rows {
                     Rows::All => left == [matrix[0], low.rank],
-                    part => left[1] == low.rank && part.lie_within(height, &left),
+                    part @ Rows::Part { .. } => {
+                        left[1] == low.rank && part.lie_within(height, &left)
+                    }
                 };
                 let fits = rows && right == [low.rank, matrix[1]] && low.rank > 0;
                 if !fits && low.flips && low.rows == Rows::All && !low.transposed {

@@ -19,7 +19,8 @@ pub(super) fn subtract(initial: &Initial, values: &mut [f32], columns: usize, ra
     let rows = values.len() / columns.max(1);
     let rank = rank.min(rows).min(columns);
     // nalgebra stores columns.
-    let by_columns = || DMatrix::from_row_iterator(rows, columns, values.iter().map(wide));
+    let by_columns =
+        || DMatrix::from_row_iterator(rows, columns, values.iter().copied().map(f64::from));
     let (matrix, basis, scale) = match initial {
         Initial::Same => return,
         Initial::FirstColumns { scale } => {
@@ -42,10 +43,6 @@ pub(super) fn subtract(initial: &Initial, values: &mut [f32], columns: usize, ra
     };
     let part = &basis * (basis.transpose() * &matrix);
     minus(values, columns, &part, scale);
-}
-
-fn wide(value: &f32) -> f64 {
-    f64::from(*value)
 }
 
 fn minus(values: &mut [f32], columns: usize, part: &DMatrix<f64>, scale: f64) {

@@ -69,7 +69,7 @@ fn in_krylov_space(
             &basis,
             &next.columns(0, next.ncols().min(size - known)).into_owned(),
         );
-        basis = orthonormal_behind(joined, known);
+        basis = orthonormal_behind(&joined, known);
         let block = basis.columns_range(known..).into_owned();
         products = join(&products, &operator(&block));
     }
@@ -92,7 +92,7 @@ fn join(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// Makes the columns from `known` on orthonormal among themselves and to those before, which are.
-fn orthonormal_behind(columns: DMatrix<f64>, known: usize) -> DMatrix<f64> {
+fn orthonormal_behind(columns: &DMatrix<f64>, known: usize) -> DMatrix<f64> {
     let before = columns.columns(0, known).into_owned();
     let mut rest = columns.columns_range(known..).into_owned();
     for _ in 0..2 {

@@ -71,7 +71,9 @@ impl MergedTensor {
                 let new = tensor.values()?;
                 for (index, new) in indices.iter().zip(new.chunks_exact(columns)) {
                     let row = values.chunks_exact_mut(columns).nth(*index);
-                    row.into_iter().for_each(|row| row.copy_from_slice(new));
+                    if let Some(row) = row {
+                        row.copy_from_slice(new);
+                    }
                 }
             }
             Change::LowRank(low) => add_low_rank(low, values, columns)?,
@@ -131,7 +133,9 @@ fn add_low_rank(low: &LowRank, values: &mut [f32], columns: usize) -> Result<(),
         let magnitude = low.rows.of_source(&magnitude, 1)?;
         for (row, magnitude) in values.chunks_exact_mut(columns).zip(magnitude) {
             let factor = magnitude / length(row);
-            row.iter_mut().for_each(|value| *value *= factor);
+            for value in row {
+                *value *= factor;
+            }
         }
     }
     Ok(())

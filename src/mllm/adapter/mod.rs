@@ -60,7 +60,7 @@ pub(crate) struct Adapter {
 
 #[derive(Debug)]
 enum Form {
-    Peft(PeftAdapter),
+    Peft(Box<PeftAdapter>),
     Gguf(GgufAdapter),
 }
 
@@ -96,7 +96,7 @@ impl Adapter {
         let (adapter, files) = PeftAdapter::open(folder, spec.changed_base)?;
         Ok(Self {
             path: folder.to_path_buf(),
-            form: Form::Peft(adapter),
+            form: Form::Peft(Box::new(adapter)),
             files,
         })
     }

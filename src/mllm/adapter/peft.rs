@@ -130,12 +130,11 @@ impl PeftAdapter {
         }
         let mut unnamed = 0;
         for (module, tensors) in modules {
-            match self.parameter(module) {
-                Some(parameter) => entries.push(self.experts(&parameter, tensors)?),
-                None => {
-                    unnamed += usize::from(!self.settings.targeted.names(module));
-                    entries.extend(self.low_rank(module, tensors)?);
-                }
+            if let Some(parameter) = self.parameter(module) {
+                entries.push(self.experts(&parameter, tensors)?);
+            } else {
+                unnamed += usize::from(!self.settings.targeted.names(module));
+                entries.extend(self.low_rank(module, tensors)?);
             }
         }
         let about = self.about(unnamed);

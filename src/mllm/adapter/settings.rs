@@ -75,6 +75,10 @@ const MAX_LAYERS: usize = 1 << 13;
 
 /// The settings of an adapter.
 #[derive(Debug)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "keys of the file of PEFT, each for itself"
+)]
 pub(super) struct Settings {
     /// The model that it was trained for, as its trainer called it.
     pub(super) base: Option<String>,

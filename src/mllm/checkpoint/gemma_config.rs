@@ -33,8 +33,8 @@ impl GemmaConfig {
         const EVERY: &str = "sliding_window_pattern";
         const SCALAR: &str = "query_pre_attn_scalar";
         let types: Option<Vec<String>> = text.value(LIST)?;
-        let local = match types {
-            Some(types) => types
+        let local = if let Some(types) = types {
+            types
                 .iter()
                 .map(|kind| match kind.as_str() {
                     "sliding_attention" => Ok(true),
@@ -46,16 +46,15 @@ impl GemmaConfig {
                         ),
                     )),
                 })
-                .collect::<Result<Vec<_>, _>>()?,
-            None => {
-                let every = text.value(EVERY)?.unwrap_or(PATTERN);
-                if every == 0 {
-                    return Err(text.error(EVERY, "expected a whole number from 1 on, found 0"));
-                }
-                (1..=config.layers)
-                    .map(|layer| !layer.is_multiple_of(every))
-                    .collect()
+                .collect::<Result<Vec<_>, _>>()?
+        } else {
+            let every = text.value(EVERY)?.unwrap_or(PATTERN);
+            if every == 0 {
+                return Err(text.error(EVERY, "expected a whole number from 1 on, found 0"));
             }
+            (1..=config.layers)
+                .map(|layer| !layer.is_multiple_of(every))
+                .collect()
         };
         if local.len() != config.layers {
             let problem = format!("has {} entries for {} layers", local.len(), config.layers);

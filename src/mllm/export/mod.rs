@@ -294,7 +294,9 @@ fn data(
         shape => {
             let mut values: Vec<f32> = weights.take(canonical, shape)?.flatten_all()?.to_vec1()?;
             if norm_offset != 0.0 && canonical.ends_with("norm.weight") {
-                values.iter_mut().for_each(|value| *value += norm_offset);
+                for value in &mut values {
+                    *value += norm_offset;
+                }
             }
             bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         }

@@ -225,8 +225,8 @@ impl<'a> Special<'a> {
         }
         Ok(Self {
             bos,
-            unknown,
             ends,
+            unknown,
             config,
         })
     }

@@ -234,7 +234,9 @@ impl Packed for Rows {
 
     fn codes(&self) -> Result<Vec<u8>, MllmError> {
         let mut bytes = self.codes.bytes()?;
-        bytes.iter_mut().for_each(|byte| *byte ^= 0x80);
+        for byte in &mut bytes {
+            *byte ^= 0x80;
+        }
         Ok(bytes)
     }
 }

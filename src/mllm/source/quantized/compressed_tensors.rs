@@ -368,7 +368,9 @@ impl Packed for Integers {
     fn codes(&self) -> Result<Vec<u8>, MllmError> {
         if self.codes.tensor.dtype == Dtype::I8 {
             let mut bytes = self.codes.bytes()?;
-            bytes.iter_mut().for_each(|byte| *byte ^= 0x80);
+            for byte in &mut bytes {
+                *byte ^= 0x80;
+            }
             return Ok(bytes);
         }
         let words = self.codes.words()?;

@@ -67,7 +67,7 @@ pub(super) fn floats(
 ) -> Result<PackedLayer, MllmError> {
     let [outputs, inputs] = weight.matrix()?;
     let scale = scale.of_type(&[&FLOATS[..], &[Dtype::F8_E8M0, Dtype::U8]].concat())?;
-    let scale = scale.as_side()?;
+    let scale = scale.checked_side()?;
     let places = places(&scale, [outputs, inputs], block)?;
     Ok(PackedLayer {
         name,

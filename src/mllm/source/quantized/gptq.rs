@@ -40,10 +40,9 @@ fn layers(
         .value("checkpoint_format")?
         .or(settings.value("format")?);
     let zeros = match version.as_deref() {
-        Some("gptq") => Zeros::LessOne,
         Some("gptq_v2") => Zeros::Plain,
         None if settings.value("sym")?.unwrap_or(true) => Zeros::Unknown,
-        None => Zeros::LessOne,
+        Some("gptq") | None => Zeros::LessOne,
         Some(other) => {
             let problem = format!(
                 "the layout '{other}' of GPTQ is not read; gptq and gptq_v2 are: take another file of the model"
@@ -200,9 +199,9 @@ impl Gptq {
         };
         if !plain {
             // Wraps as the fields of the file do.
-            zeros
-                .iter_mut()
-                .for_each(|zero| *zero = (*zero + 1) & ((1 << self.bits) - 1));
+            for zero in &mut zeros {
+                *zero = (*zero + 1) & ((1 << self.bits) - 1);
+            }
         }
         Ok(zeros)
     }

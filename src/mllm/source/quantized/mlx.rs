@@ -76,7 +76,7 @@ fn take(table: &mut TensorTable, name: String, groups: Groups) -> Result<PackedL
     let codes = table.need(&name, "weight")?;
     let scales = table.need_side(&name, "scales")?.of_type(&FLOATS)?;
     let minima = match table.take(&name, "qbiases") {
-        Some(minima) => minima.as_side()?,
+        Some(minima) => minima.checked_side()?,
         None => table.need_side(&name, "biases")?,
     };
     let minima = minima.of_type(&FLOATS)?;

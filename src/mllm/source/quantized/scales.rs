@@ -12,6 +12,10 @@ pub(super) const BLOCK: usize = 32;
 
 /// The meaning of the codes of a matrix.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(
+    clippy::struct_field_names,
+    reason = "scales are called so in every format"
+)]
 pub(super) struct Scales {
     /// A scale for each place.
     pub scales: Vec<f32>,

@@ -52,7 +52,7 @@ impl Part {
     }
 
     /// Checks that it is no larger than scales are, before it is read.
-    pub(super) fn as_side(self) -> Result<Self, MllmError> {
+    pub(super) fn checked_side(self) -> Result<Self, MllmError> {
         if self.tensor.bytes > MAX_SIDE {
             return Err(self.error(format!(
                 "its {} bytes are more than the {MAX_SIDE} that scales may have",
@@ -183,7 +183,7 @@ impl TensorTable {
 
     /// Takes the scales or zero points of a layer, which are read when the folder is opened.
     pub(super) fn need_side(&mut self, layer: &str, part: &str) -> Result<Part, MllmError> {
-        self.need(layer, part)?.as_side()
+        self.need(layer, part)?.checked_side()
     }
 
     /// Leaves out the tensors of which a condition holds.
