@@ -225,7 +225,7 @@ impl Printer {
     }
 
     /// Columns of the terminal on stderr; 80 when it is none.
-    pub(crate) fn note_width(self) -> u16 {
+    pub(crate) fn note_width() -> u16 {
         Term::stderr()
             .size_checked()
             .map_or(80, |(_, columns)| columns)

@@ -15,6 +15,9 @@ use planagent_agent::simulation::ClosedLoop;
 use planagent_world::Trajectory;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// Chooses one of the codes that were tried.
+type Choose = fn(&[Candidate]) -> Option<&Candidate>;
+
 /// The codes that are tried out ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Tried {
@@ -103,12 +106,11 @@ impl OracleAgent {
             }
         });
         let horizon = HORIZON.min(left);
-        let (tried, best): (Vec<Candidate>, fn(&[Candidate]) -> Option<&Candidate>) =
-            match (graph, self.tries) {
-                (None, _) => (Vec::new(), best),
-                (Some(graph), Tried::Search) => (search_ahead(&self.shadow, &graph, horizon), best),
-                (Some(graph), Tried::Grid) => (search_grid(&self.shadow, &graph, horizon), highest),
-            };
+        let (tried, best): (Vec<Candidate>, Choose) = match (graph, self.tries) {
+            (None, _) => (Vec::new(), best),
+            (Some(graph), Tried::Search) => (search_ahead(&self.shadow, &graph, horizon), best),
+            (Some(graph), Tried::Grid) => (search_grid(&self.shadow, &graph, horizon), highest),
+        };
         self.code.hand(best(&tried).map(|best| best.code));
     }
 }

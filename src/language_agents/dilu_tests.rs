@@ -44,6 +44,7 @@ fn dilu_drives_the_default_scene_by_actions() {
 
 #[test]
 fn an_answer_without_an_action_is_asked_about_once_and_then_counted() {
+    type Case = (&'static str, fn(&str, usize) -> String, Unreadable);
     let (scenario, settings) = (default_scene(), PlanAgentSettings::default());
     let challenge = Challenge::NonReactive;
     let second = Stub::new(|_, n| {
@@ -60,7 +61,6 @@ fn an_answer_without_an_action_is_asked_about_once_and_then_counted() {
         assert_eq!((attempt.rounds.len(), attempt.errors.len()), (2, 1));
         assert_eq!(attempt.rounds[1].round.as_str(), "extraction");
     }
-    type Case = (&'static str, fn(&str, usize) -> String, Unreadable);
     let cases: [Case; 3] = [
         (
             "no number",

@@ -96,6 +96,10 @@ impl Default for EnvironmentSettings {
 /// Section `reflection`: how plans are scored and executed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "switches of a file, each for itself"
+)]
 pub struct ReflectionSettings {
     /// Whether plans are scored; without, the first plan that can be read becomes active.
     pub enabled: bool,

@@ -43,7 +43,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.error(&anyhow!("not simulated: {list}"));
     }
     if !csv && !printer.is_json() {
-        for line in next_steps(folder, rows, &Here::of_process(), printer.note_width()) {
+        for line in next_steps(folder, rows, &Here::of_process(), Printer::note_width()) {
             printer.note(line);
         }
     }

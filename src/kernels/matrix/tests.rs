@@ -284,7 +284,7 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
 #[test]
 fn the_smallest_signed_byte_is_multiplied_as_others() {
     let inputs = 64;
-    let mut block = vec![0x80; 34];
+    let mut block = [0x80; 34];
     block[..2].copy_from_slice(&f16::from_f32(0.5).to_le_bytes());
     let tiles = PackedTiles::pack(WeightFormat::Q8_0, 1, inputs, &block.repeat(2));
     for value in [1.0, -1.0] {

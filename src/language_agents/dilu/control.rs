@@ -50,7 +50,7 @@ impl SetPoints {
     }
 
     /// The set speed, m/s.
-    pub(super) fn speed(&self) -> f64 {
+    pub(super) fn speed(self) -> f64 {
         f64::from(self.rung) * RUNG
     }
 
@@ -65,7 +65,7 @@ impl SetPoints {
     }
 
     /// The actions that change something here: keeping comes first, then lane changes, then speeds.
-    pub(crate) fn offered(&self, scene: &SceneView<'_>) -> Vec<DrivingAction> {
+    pub(crate) fn offered(self, scene: &SceneView<'_>) -> Vec<DrivingAction> {
         use DrivingAction::{Faster, Idle, Left, Right, Slower};
         let rung = nearest_rung(scene.ego);
         [
@@ -104,7 +104,7 @@ impl SetPoints {
     }
 
     /// The lane beside the target lane, positive to the left.
-    fn beside(&self, scene: &SceneView<'_>, lanes: i32) -> Option<LaneId> {
+    fn beside(self, scene: &SceneView<'_>, lanes: i32) -> Option<LaneId> {
         let ego = scene.ego.center().position();
         let (lane, pose) = scene.map.beside(self.lane, ego, lanes)?;
         let own = scene.map[self.lane].centerline.project(ego).heading;
@@ -112,7 +112,7 @@ impl SetPoints {
         (same_way && lane != self.lane).then_some(lane)
     }
 
-    fn path(&self, scene: &SceneView<'_>) -> LanePath {
+    fn path(self, scene: &SceneView<'_>) -> LanePath {
         let on_lane = scene.map[self.lane].centerline.length();
         LanePath::along(scene.map, scene.route, self.lane, on_lane + AHEAD)
     }
@@ -121,7 +121,7 @@ impl SetPoints {
     ///
     /// # Errors
     /// When the ego's state is not finite.
-    pub(crate) fn trajectory(&self, scene: &SceneView<'_>) -> Result<Trajectory, TrajectoryError> {
+    pub(crate) fn trajectory(self, scene: &SceneView<'_>) -> Result<Trajectory, TrajectoryError> {
         let ego = scene.ego;
         let path = self.path(scene);
         let line = &path.centerline;

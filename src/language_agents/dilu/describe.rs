@@ -26,7 +26,7 @@ struct Named {
 }
 
 /// The description of a scene.
-pub(super) fn description(seen: GraphedScene<'_>, set: &SetPoints) -> String {
+pub(super) fn description(seen: GraphedScene<'_>, set: SetPoints) -> String {
     let GraphedScene { scene, graph } = seen;
     let ego_lane = graph.ego_lane();
     let lane = ego_lane.path.lane_at(ego_lane.ego_s);
@@ -68,7 +68,9 @@ pub(super) fn description(seen: GraphedScene<'_>, set: &SetPoints) -> String {
         text.push_str("\nNothing else is near.");
     } else {
         text.push_str("\nOthers, with lane positions from your car's:");
-        around.iter().for_each(|line| text.push_str(line));
+        for line in &around {
+            text.push_str(line);
+        }
     }
     text
 }

@@ -63,7 +63,7 @@ pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
 
 /// The description of a scene, with the set-points of an ego that goes on as it is.
 pub fn dilu_text(seen: GraphedScene<'_>) -> String {
-    description(seen, &SetPoints::at(seen))
+    description(seen, SetPoints::at(seen))
 }
 
 /// DiLu.
@@ -137,11 +137,11 @@ impl LanguageAgent for Dilu {
         self.set_points = None;
     }
 
-    fn observe<'a>(&mut self, seen: GraphedScene<'a>) -> Observation {
+    fn observe(&mut self, seen: GraphedScene<'_>) -> Observation {
         let before = self.set_points_in(seen);
         self.set_points = Some(before);
         Observation {
-            description: description(seen, &before),
+            description: description(seen, before),
             offered: before.offered(seen.scene),
             before,
         }

@@ -63,7 +63,9 @@ fn features(text: &str) -> Vec<f64> {
     }
     let length = counts.iter().map(|count| count * count).sum::<f64>().sqrt();
     if length > 0.0 {
-        counts.iter_mut().for_each(|count| *count /= length);
+        for count in &mut counts {
+            *count /= length;
+        }
     }
     counts
 }

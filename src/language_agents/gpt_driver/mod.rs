@@ -78,7 +78,7 @@ impl LanguageAgent for GptDriver {
         self.track = WaypointTrack::default();
     }
 
-    fn observe<'a>(&mut self, GraphedScene { scene, graph }: GraphedScene<'a>) -> Observation {
+    fn observe(&mut self, GraphedScene { scene, graph }: GraphedScene<'_>) -> Observation {
         let mut objects: Vec<_> = seen_objects(scene)
             .map(|(object, [(right, ahead), ..])| {
                 let name = format!("{} at ({right:.2},{ahead:.2})", object.kind);

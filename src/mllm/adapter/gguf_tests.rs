@@ -291,6 +291,9 @@ fn an_adapter_in_gguf_gives_the_weights_of_its_folder_over_any_base() {
     assert!(report.notes.iter().any(|note| note.contains("rsLoRA")));
 }
 
+/// Metadata, tensors, and what the error says.
+type Case<'a> = (Vec<(&'a str, Value)>, Vec<Made>, &'a str);
+
 #[test]
 fn files_of_other_kinds_and_models_are_refused_by_name() {
     let work = tempfile::tempdir().unwrap();
@@ -309,7 +312,7 @@ fn files_of_other_kinds_and_models_are_refused_by_name() {
         metadata
     };
     let renamed = |name: &str| (name.to_owned(), whole[0].1.clone(), whole[0].2.clone());
-    let cases: Vec<(Vec<(&str, Value)>, Vec<Made>, &str)> = vec![
+    let cases: Vec<Case<'_>> = vec![
         (
             with("general.type", text("model")),
             whole.to_vec(),

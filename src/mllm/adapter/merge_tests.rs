@@ -96,8 +96,9 @@ fn dora_gives_each_output_the_length_of_its_magnitude() {
     let mut expected = product(&base, &pair, 1.5);
     for (row, length) in expected.chunks_mut(10).zip(&magnitude.2) {
         let norm = row.iter().map(|value| value * value).sum::<f64>().sqrt();
-        row.iter_mut()
-            .for_each(|value| *value *= f64::from(*length) / norm);
+        for value in row {
+            *value *= f64::from(*length) / norm;
+        }
     }
     assert_near(&found, &expected, "DoRA");
 }

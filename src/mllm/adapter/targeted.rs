@@ -120,8 +120,8 @@ mod tests {
     use serde_json::json;
     use std::path::Path;
 
-    fn named(settings: Value, modules: &[&str]) -> Vec<bool> {
-        let root = ConfigObject::root(Path::new("c"), &settings).unwrap();
+    fn named(settings: &Value, modules: &[&str]) -> Vec<bool> {
+        let root = ConfigObject::root(Path::new("c"), settings).unwrap();
         let targeted = Targeted::read(&root, 10).unwrap();
         modules
             .iter()
@@ -164,7 +164,7 @@ mod tests {
             ),
             (json!({}), [true; 4]),
         ] {
-            assert_eq!(named(settings.clone(), &modules), expected, "{settings}");
+            assert_eq!(named(&settings, &modules), expected, "{settings}");
         }
     }
 }

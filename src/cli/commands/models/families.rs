@@ -134,9 +134,9 @@ fn page(rows: &[Row]) -> String {
         "{HEAD}\n| family | models | `config.json` | GGUF of llama.cpp | compared with | example |\n\
          |---|---|---|---|---|---|\n"
     );
-    for row in rows {
+    let line = |row: &Row| {
         let types: Vec<String> = row.model_types().map(|name| format!("`{name}`")).collect();
-        text.push_str(&format!(
+        format!(
             "| `{}` | {} | {} | {} | {} | `--model {}` |\n",
             row.family,
             row.models,
@@ -144,8 +144,9 @@ fn page(rows: &[Row]) -> String {
             row.gguf("`"),
             row.tested,
             row.example
-        ));
-    }
+        )
+    };
+    text.extend(rows.iter().map(line));
     text + "\n" + END
 }
 

@@ -268,7 +268,7 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
                     cells.push(or_dash(asked, |asked| asked.collisions.to_string()));
                 }
                 Column::Questions => {
-                    cells.push(or_dash(asked.and_then(|asked| asked.questions), one_digit))
+                    cells.push(or_dash(asked.and_then(|asked| asked.questions), one_digit));
                 }
                 Column::Tokens => {
                     let tokens = asked.and_then(|asked| asked.tokens);

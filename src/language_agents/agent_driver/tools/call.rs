@@ -119,7 +119,7 @@ pub(super) fn take(
     }
 }
 
-pub(super) fn number(argument: Argument, parameter: &str) -> Result<f64, String> {
+pub(super) fn number(argument: &Argument, parameter: &str) -> Result<f64, String> {
     match argument.text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
         _ => Err(format!(

@@ -112,7 +112,7 @@ static TOOLS: [Tool; 18] = [
         name: "lead_object",
         parameters: &[],
         about: "the objects in your lane within 10 m ahead",
-        give: |facts, _| facts.detections(|object| object.leads()),
+        give: |facts, _| facts.detections(SeenObject::leads),
     },
     Tool {
         group: Group::Detection,
@@ -147,7 +147,7 @@ static TOOLS: [Tool; 18] = [
         name: "lead_future",
         parameters: &[],
         about: "where the objects in your lane within 10 m ahead go in 3 s",
-        give: |facts, _| facts.futures(|object| object.leads()),
+        give: |facts, _| facts.futures(SeenObject::leads),
     },
     Tool {
         group: Group::Prediction,
@@ -321,7 +321,7 @@ impl<'a> Facts<'a> {
                         .iter_mut()
                         .zip(["x_start", "x_end", "y_start", "y_end"])
                     {
-                        *bound = call::number(call::take(&mut given, name)?, name)?;
+                        *bound = call::number(&call::take(&mut given, name)?, name)?;
                         if bound.abs() > REACH {
                             return Err(format!("{name} must lie in -{REACH} to {REACH}"));
                         }
@@ -335,7 +335,7 @@ impl<'a> Facts<'a> {
                     found.object_ids = self.ids(&call::take(&mut given, "object_ids")?)?;
                 }
                 Timestep(first, last) => {
-                    let step = call::number(call::take(&mut given, "timestep")?, "timestep")?;
+                    let step = call::number(&call::take(&mut given, "timestep")?, "timestep")?;
                     if step.fract() != 0.0 || !(*first as f64..=*last as f64).contains(&step) {
                         return Err(format!("timestep must be one of {first} to {last}"));
                     }
@@ -367,7 +367,8 @@ impl<'a> Facts<'a> {
         let ids = call::numbers(argument)?;
         ids.into_iter()
             .map(|id| {
-                let known = (0..self.objects.len()).find(|&known| known as f64 == id);
+                let known =
+                    (0..self.objects.len()).find(|&known| (known as f64 - id).abs() < f64::EPSILON);
                 known.ok_or_else(|| match self.objects.len() {
                     0 => format!("there is no object {id}, and no other"),
                     count => format!("there is no object {id}; there are 0 to {}", count - 1),
@@ -388,7 +389,7 @@ impl<'a> Facts<'a> {
                 object.id, object.kind
             );
         }
-        or_none(text, "no object is there")
+        or_none(&text, "no object is there")
     }
 
     fn futures(&self, is_meant: impl Fn(&SeenObject) -> bool) -> String {
@@ -406,7 +407,7 @@ impl<'a> Facts<'a> {
                 places.join(", ")
             );
         }
-        or_none(text, "no object is there")
+        or_none(&text, "no object is there")
     }
 
     fn places_at(&self, call: &Arguments) -> String {
@@ -425,7 +426,7 @@ impl<'a> Facts<'a> {
                 call.timestep as f64 * objects::STEP_S
             );
         }
-        or_none(text, "no object is there")
+        or_none(&text, "no object is there")
     }
 
     fn occupied_at(&self, call: &Arguments) -> String {
@@ -442,11 +443,11 @@ impl<'a> Facts<'a> {
                 call.timestep as f64 * objects::STEP_S
             );
         }
-        or_none(text, "no place was asked about")
+        or_none(&text, "no place was asked about")
     }
 }
 
-fn or_none(text: String, none: &str) -> String {
+fn or_none(text: &str, none: &str) -> String {
     if text.is_empty() {
         none.to_owned()
     } else {

@@ -110,6 +110,7 @@ pub(super) const SAMPLE: [usize; 2] = [8, 64];
 pub(super) const LAYER: &str = "model.layer";
 
 /// A folder with one packed layer in each layout, by the name of the layout.
+#[allow(clippy::too_many_lines, reason = "a list of layouts")]
 pub(super) fn samples() -> Vec<(&'static str, Folder)> {
     let [outputs, inputs] = SAMPLE;
     let groups = inputs / 32;

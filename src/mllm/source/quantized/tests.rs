@@ -270,6 +270,7 @@ fn wrong_shapes_and_types_are_refused_by_name() {
 type Fault = (&'static str, fn(&mut Folder), &'static str);
 
 #[test]
+#[allow(clippy::too_many_lines, reason = "a table of faults")]
 fn what_is_not_read_is_refused_with_what_to_take() {
     const METHOD: &str = "/quantization_config/quant_method";
     let faults: &[Fault] = &[
@@ -333,7 +334,7 @@ fn what_is_not_read_is_refused_with_what_to_take() {
             "ct 4",
             |folder| {
                 folder.config["quantization_config"]["transform_config"] =
-                    json!({"config_groups": {"u": {}}})
+                    json!({"config_groups": {"u": {}}});
             },
             "transform_config",
         ),
@@ -341,7 +342,7 @@ fn what_is_not_read_is_refused_with_what_to_take() {
             "ct 4",
             |folder| {
                 folder.config["quantization_config"]["config_groups"]["group_0"]["weights"]["num_bits"] =
-                    json!(5)
+                    json!(5);
             },
             "words",
         ),
