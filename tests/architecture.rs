@@ -89,7 +89,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
                 "smolvlm",
                 "text_only",
             ],
-            &["llava_next", "qwen2_5_vl"],
+            &["llava_next", "qwen2_5_vl", "qwen2_vl"],
             &["families"],
             &["source"],
             &["local"],

@@ -3,7 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen2_vl, qwen3_vl, smolvlm,
+    text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -17,6 +18,7 @@ const BUILT_IN: &[&Family] = &[
     &internvl::FAMILY,
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
+    &qwen2_vl::FAMILY,
     &text_only::LLAMA,
     &text_only::QWEN2,
     &text_only::QWEN3,

@@ -41,6 +41,7 @@ mod llava;
 mod llava_next;
 mod local;
 mod qwen2_5_vl;
+mod qwen2_vl;
 mod qwen3_vl;
 mod registry;
 mod sampling;

@@ -17,6 +17,7 @@ fn tiny(architecture: &str) -> PathBuf {
         "smolvlm" => "tiny_smolvlm",
         "internvl" => "tiny_internvl3",
         "qwen2.5-vl" => "tiny_qwen2_5_vl",
+        "qwen2-vl" => "tiny_qwen2_vl",
         "qwen3-vl" => "tiny_qwen3_vl",
         "cogvlm" => "tiny_cogvlm",
         "llava-next" => "tiny_llava_next",

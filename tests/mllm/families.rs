@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 8] = [
+const FAMILIES: [Tiny; 9] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -50,6 +50,10 @@ const FAMILIES: [Tiny; 8] = [
     Tiny {
         name: "tiny_qwen2_5_vl",
         architecture: "qwen2.5-vl",
+    },
+    Tiny {
+        name: "tiny_qwen2_vl",
+        architecture: "qwen2-vl",
     },
 ];
 
@@ -459,6 +463,8 @@ fn the_described_models_are_all_readable() {
         ("qwen3-vl-4b", "qwen3-vl"),
         ("qwen2.5-vl-3b", "qwen2.5-vl"),
         ("qwen2.5-vl-7b", "qwen2.5-vl"),
+        ("qwen2-vl-2b", "qwen2-vl"),
+        ("qwen2-vl-7b", "qwen2-vl"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

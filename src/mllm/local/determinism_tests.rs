@@ -69,6 +69,7 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     };
     let deep = json!({"num_position_embeddings": 64, "deepstack_visual_indexes": [0, 2]});
     let windows = json!({"window_size": 64, "fullatt_block_indexes": [1, 3]});
+    let whole = json!({"embed_dim": 192, "hidden_size": 256});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture = |width, height| {
         RgbImage::from_fn(width, height, |x, y| {
@@ -96,6 +97,10 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         (
             random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels),
             picture(130, 170),
+        ),
+        (
+            random("qwen2-vl", &axes([4, 6, 6], whole), &pixels),
+            picture(170, 130),
         ),
     ];
     // Models that read text alone.

@@ -158,6 +158,18 @@ fn sizes_are_bounded_before_memory_is_taken() {
             most.clone(),
         ),
         (
+            "tiny_qwen2_vl",
+            CONFIG,
+            "/vision_config/embed_dim",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen2_vl",
+            CONFIG,
+            "/vision_config/mlp_ratio",
+            json!(1e30),
+        ),
+        (
             "tiny_qwen3_vl",
             CONFIG,
             "/vision_config/num_position_embeddings",

@@ -3,7 +3,7 @@
 //! from, and `.ci/run long` runs these tests.
 
 use super::test_reference::{
-    Reference, assert_greedy, assert_logits, difference, fixture, greedy, logits_in_pieces,
+    Reference, assert_greedy, assert_logits, data, difference, fixture, greedy, logits_in_pieces,
 };
 use super::{Loading, LocalModel, Sequence};
 use crate::checkpoint::read_json;
@@ -13,12 +13,6 @@ use candle_core::Tensor;
 use serde_json::Value;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-
-/// The data folder: `$PLANAGENT_DATA`, else `../shared/data`.
-fn data() -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from)
-}
 
 #[test]
 #[ignore = "needs mllm_reference/text in $PLANAGENT_DATA"]

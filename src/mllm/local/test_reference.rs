@@ -24,6 +24,12 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
         .join(name)
 }
 
+/// The data folder, which is not part of the project: `$PLANAGENT_DATA`, else `../shared/data`.
+pub(crate) fn data() -> PathBuf {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from)
+}
+
 /// The checkpoint of a folder.
 pub(crate) fn open_checkpoint(folder: &Path) -> Checkpoint {
     Checkpoint::open(

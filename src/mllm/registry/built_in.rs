@@ -19,6 +19,8 @@ const DESCRIBED: &[(&str, &str)] = described![
     "llava-v1.6-vicuna-7b",
     "local-server",
     "openai",
+    "qwen2-vl-2b",
+    "qwen2-vl-7b",
     "qwen2.5-vl-3b",
     "qwen2.5-vl-7b",
     "qwen3-vl-2b",

@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 19] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -48,6 +48,8 @@ impl ModelShape {
         shape!("qwen3-vl-4b"),
         shape!("qwen2.5-vl-3b"),
         shape!("qwen2.5-vl-7b"),
+        shape!("qwen2-vl-2b"),
+        shape!("qwen2-vl-7b"),
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
@@ -175,6 +177,8 @@ mod tests {
             ("qwen3-vl-4b", 4.438),
             ("qwen2.5-vl-3b", 3.755),
             ("qwen2.5-vl-7b", 8.292),
+            ("qwen2-vl-2b", 2.209),
+            ("qwen2-vl-7b", 8.291),
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };
