@@ -3,8 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen2_vl, qwen3_vl, smolvlm,
-    text_only,
+    MllmError, cogvlm, gemma3, internvl, llava, llava_next, llava_onevision, qwen2_5_vl, qwen2_vl,
+    qwen3_vl, smolvlm, text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -19,6 +19,8 @@ const BUILT_IN: &[&Family] = &[
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
     &qwen2_vl::FAMILY,
+    &llava_onevision::FAMILY,
+    &gemma3::FAMILY,
     &text_only::LLAMA,
     &text_only::QWEN2,
     &text_only::QWEN3,

@@ -18,6 +18,8 @@ fn tiny(architecture: &str) -> PathBuf {
         "internvl" => "tiny_internvl3",
         "qwen2.5-vl" => "tiny_qwen2_5_vl",
         "qwen2-vl" => "tiny_qwen2_vl",
+        "llava-onevision" => "tiny_llava_onevision",
+        "gemma3" => "tiny_gemma3",
         "qwen3-vl" => "tiny_qwen3_vl",
         "cogvlm" => "tiny_cogvlm",
         "llava-next" => "tiny_llava_next",

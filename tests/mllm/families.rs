@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 9] = [
+const FAMILIES: [Tiny; 11] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -54,6 +54,14 @@ const FAMILIES: [Tiny; 9] = [
     Tiny {
         name: "tiny_qwen2_vl",
         architecture: "qwen2-vl",
+    },
+    Tiny {
+        name: "tiny_llava_onevision",
+        architecture: "llava-onevision",
+    },
+    Tiny {
+        name: "tiny_gemma3",
+        architecture: "gemma3",
     },
 ];
 
@@ -465,6 +473,9 @@ fn the_described_models_are_all_readable() {
         ("qwen2.5-vl-7b", "qwen2.5-vl"),
         ("qwen2-vl-2b", "qwen2-vl"),
         ("qwen2-vl-7b", "qwen2-vl"),
+        ("llava-onevision-0.5b", "llava-onevision"),
+        ("llava-onevision-7b", "llava-onevision"),
+        ("gemma-3-4b", "gemma3"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

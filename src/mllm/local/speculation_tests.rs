@@ -34,6 +34,8 @@ fn folders() -> Vec<(PathBuf, &'static str)> {
         "tiny_qwen3_vl",
         "tiny_qwen2_5_vl",
         "tiny_qwen2_vl",
+        "tiny_llava_onevision",
+        "tiny_gemma3",
     ];
     papers
         .chain(todays.map(|name| (fixture(name), "image_0.png")))

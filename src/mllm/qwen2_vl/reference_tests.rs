@@ -43,16 +43,6 @@ fn llama_cpps_files_give_the_same() {
     prompts.check(&Prompts::open_at(folder.path()), |_| true);
 }
 
-/// Another tiny model, of a larger shape (`shared/spec/vlm_qwen2_vl.md`).
-#[test]
-#[ignore = "needs mllm_reference/qwen2_vl in $PLANAGENT_DATA"]
-fn outside_a_larger_reference_is_met_as_folder_and_gguf() {
-    let prompts = Prompts::from_data("qwen2_vl");
-    prompts.check(&prompts.open(".", ImageSettings::default()), |_| true);
-    let folder = prompts.gguf_with("preprocessor_config.json");
-    prompts.check(&Prompts::open_at(folder.path()), |_| true);
-}
-
 #[test]
 fn pixels_and_sizes_are_those_of_transformers() {
     let prompts = Prompts::from_fixture("tiny_qwen2_vl");

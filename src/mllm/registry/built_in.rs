@@ -10,10 +10,13 @@ macro_rules! described {
 /// Names and texts, by name.
 const DESCRIBED: &[(&str, &str)] = described![
     "cogvlm-chat-17b",
+    "gemma-3-4b",
     "internvl3-1b",
     "internvl3-2b",
     "llava-1.5-13b",
     "llava-1.5-7b",
+    "llava-onevision-0.5b",
+    "llava-onevision-7b",
     "llava-v1.6-mistral-7b",
     "llava-v1.6-vicuna-13b",
     "llava-v1.6-vicuna-7b",

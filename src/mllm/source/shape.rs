@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 22] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -50,6 +50,9 @@ impl ModelShape {
         shape!("qwen2.5-vl-7b"),
         shape!("qwen2-vl-2b"),
         shape!("qwen2-vl-7b"),
+        shape!("llava-onevision-0.5b"),
+        shape!("llava-onevision-7b"),
+        shape!("gemma-3-4b"),
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
@@ -179,6 +182,9 @@ mod tests {
             ("qwen2.5-vl-7b", 8.292),
             ("qwen2-vl-2b", 2.209),
             ("qwen2-vl-7b", 8.291),
+            ("llava-onevision-0.5b", 0.894),
+            ("llava-onevision-7b", 8.03),
+            ("gemma-3-4b", 4.297),
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };
