@@ -241,6 +241,8 @@ impl PackedTiles {
         let rows = bytes.par_chunks(row_bytes * LANES);
         tiles
             .lines
+            // Threads share tiles and not rows: the rows of a tile lie interleaved in the same
+            // cache lines.
             .par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines)
             .zip(rows)
             .for_each(|(tile, rows)| {

@@ -115,6 +115,8 @@ fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
 
 /// The best chain of lanes, one per sample. Samples without a lane in reach are skipped.
 fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
+    // One function, since both passes of the Viterbi search read these layers and nothing else
+    // does.
     struct Layer {
         at: Point,
         candidates: Vec<Candidate>,

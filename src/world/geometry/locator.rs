@@ -48,6 +48,7 @@ impl<'a> PointLocator<'a> {
                     .skip(polygon.ring().len() - 1),
             )
         };
+        // A counting sort: the edges of a slab lie side by side, in one allocation for all slabs.
         let mut starts = vec![0; count + 1];
         for slab in outline().flat_map(|(end, start)| slabs(start, end)) {
             starts[slab + 1] += 1;

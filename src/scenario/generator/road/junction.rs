@@ -136,6 +136,7 @@ impl Network {
                 let line = connection(self.end_of(a), self.start_of(b));
                 let passage = Passage {
                     junction,
+                    // Lanes that only continue cross nothing, so they rank above every turn.
                     rank: 9,
                     stop_sign: false,
                     conflicts: Vec::new(),

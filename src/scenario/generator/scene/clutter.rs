@@ -33,6 +33,7 @@ impl TrafficBuilder<'_, '_> {
             self.add_wide_clutter();
             return;
         }
+        // Drawn once a scene and not once a lane, so that its curbs look alike.
         let (parked, cyclists, strollers) = (
             self.rng.uniform(0.2, 0.8),
             self.rng.bool(0.5),
@@ -145,6 +146,8 @@ impl TrafficBuilder<'_, '_> {
     pub(crate) fn add_jaywalker(&mut self) {
         const REACH: f64 = 14.0;
         const TRIES: usize = 5;
+        // A place may be blocked; a scene without a jaywalker is better than a search without an
+        // end.
         for _ in 0..TRIES {
             let (s, side) = (
                 self.ego().s + self.rng.uniform(50.0, 110.0),
