@@ -136,6 +136,7 @@ pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardErro
         .map(|entry| entry.path())
         .filter(is_of_split)
         .collect();
+    // Folders list files in any order, and training must see the same lines in the same order.
     paths.sort();
     let texts = paths.iter().map(|path| {
         fs::read_to_string(path).map_err(|source| ShardError::Read {

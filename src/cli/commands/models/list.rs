@@ -39,6 +39,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         return Ok(Exit::Success);
     }
     printer.table(table(&rows).fitted(printer.line_width()));
+    // A broken description is no failure of the list, since the other models can be used.
     let broken = rows.iter().filter(|row| row.source.is_none());
     broken.for_each(|row| {
         printer.line(format!(

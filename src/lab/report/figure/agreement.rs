@@ -60,6 +60,7 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
         for one in &agreement.planners {
             let (x, y) = (across.at(one.reported), upward.at(one.score));
             picture.point([x, y], color(0), false);
+            // Names go to the inner side of their point, so that they stay in the panel.
             let (anchor, x) = if x > left + width / 2.0 {
                 (Anchor::End, x - 8.0)
             } else {

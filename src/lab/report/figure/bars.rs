@@ -25,6 +25,7 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
     let title = format!("{}: {}, {} scenes", results.title, suite.name, suite.scenes);
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);
     for (place, kind) in kinds.iter().enumerate() {
+        // 4 pixels down, because SVG places a text by its baseline.
         let y = TOP + group * place as f64 + f64::midpoint(0.0, group - BETWEEN) + 4.0;
         picture.text([NAMES - 10.0, y], Anchor::End, "", &kind.scenario_type);
     }

@@ -29,6 +29,7 @@ pub(super) fn draw(
 ) -> String {
     let curves = curves(study, suite);
     let all = || curves.iter().flat_map(|curve| &curve.points);
+    // One scale for our scores and the paper's, so that they can be compared.
     let across = Scale::for_values(all().map(|point| point[0]), [LEFT, RIGHT]);
     let up = Scale::for_values(all().map(|point| point[1]), [BOTTOM, TOP]);
     let mut picture = Picture::new(WIDTH);
@@ -80,6 +81,8 @@ fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
             let points: Vec<[f64; 2]> = variants
                 .filter_map(|(place, v)| Some([v.x?, value(place)?]))
                 .collect();
+            // The paper has no scores for some studies; its curve then needs no place in the
+            // legend.
             if points.is_empty() {
                 continue;
             }

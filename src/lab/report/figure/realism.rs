@@ -48,6 +48,7 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
         if !low.is_finite() {
             continue;
         }
+        // Each row has a scale of its own, because features have different units.
         let scale = Scale::for_values(ends(), [LEFT, RIGHT]);
         let decimals = usize::from(high.abs().max(low.abs()) < 20.0);
         picture.text(
