@@ -49,6 +49,7 @@ pub(super) fn read_rope(
         }
         None => text.child_or_empty("rope_parameters")?,
     };
+    // A key that this code would pass over changes every answer, so it is refused.
     section.only_neutral(&[("partial_rotary_factor", Neutral::Number(1.0))])?;
     let required = |key: &str| {
         section

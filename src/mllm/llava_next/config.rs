@@ -49,6 +49,7 @@ impl LlavaNextConfig {
         let side = llava.vision.image_size as u32;
         let resolutions = pinpoints(&root)?;
         for Resolution { height, width } in &resolutions {
+            // A stranger's file lists these resolutions; each decides how large a picture becomes.
             check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
         }
         let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;

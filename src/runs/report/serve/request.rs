@@ -28,6 +28,8 @@ impl Request {
         let mut head = Vec::new();
         let begun = Instant::now();
         loop {
+            // One limit for the whole head: a client that sends a byte now and then must not hold
+            // the server.
             let left = MAX_TIME.saturating_sub(begun.elapsed());
             let waits = if left.is_zero() {
                 None
@@ -74,6 +76,7 @@ impl Request {
             .headers
             .iter()
             .filter(|header| header.name.eq_ignore_ascii_case("host"));
+        // A page of another site may send requests here under its own name; the host gives it away.
         let (Some(host), None) = (hosts.next(), hosts.next()) else {
             return Err(bad("the request needs one host"));
         };
