@@ -52,6 +52,7 @@ pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
         .map(|o| (o.shape.center.distance(&center), o))
         .collect();
     near.retain(|(distance, _)| *distance <= REACH);
+    // The nearest first, since the list ends where the prompt would grow too long.
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, object) in near.into_iter().take(MAX_OBJECTS) {
         let shape = &object.shape;
