@@ -10,6 +10,7 @@ use super::weight_format::WeightFormat;
 use rayon::prelude::*;
 use std::io::{self, Write};
 
+/// Bytes of a cache line, the unit in which tiles are stored.
 const LINE: usize = size_of::<CacheLine>();
 
 /// The byte order of a group.

@@ -16,6 +16,7 @@ use std::fs;
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
+/// Version of the files of a dataset; a folder of another version is not continued.
 pub const FORMAT: u32 = 1;
 
 #[derive(Debug, thiserror::Error)]

@@ -217,6 +217,7 @@ pub fn parameter_count(parameters: u64) -> String {
 
 /// A number of bytes for people: GiB from 1 GiB on, else MiB.
 pub fn in_bytes(bytes: u64) -> String {
+    /// Bytes of a MiB.
     const MIB: f64 = 1_048_576.0;
     let mebibytes = bytes as f64 / MIB;
     if mebibytes >= 1024.0 {

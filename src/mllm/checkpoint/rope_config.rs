@@ -161,6 +161,7 @@ fn read_yarn(
 
 /// The rotary embedding of the local layers of a Gemma 3.
 pub(super) fn read_local_rope(text: &ConfigObject<'_>) -> Result<Rope, MllmError> {
+    /// Base where the file has none (`rope_local_base_freq` of `Gemma3TextConfig`).
     const THETA: f64 = 10_000.0;
     let section = layer_rope(text, "sliding_attention")?;
     let own = match &section {

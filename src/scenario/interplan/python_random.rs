@@ -4,6 +4,7 @@
 use sha2::{Digest, Sha512};
 use std::f64::consts::TAU;
 
+/// Words of the state, and the distance between two that are combined: n and m of MT19937.
 const WORDS: usize = 624;
 const SHIFT: usize = 397;
 

@@ -4,6 +4,7 @@ use super::{Bounds, Point, Polygon};
 
 /// Mean number of edges per slab.
 const EDGES_PER_SLAB: usize = 4;
+/// Maximum number of slabs, which bounds the memory of a locator.
 const MAX_SLABS: usize = 64;
 
 /// A polygon whose edges are sorted into horizontal slabs, so that a query compares a point only

@@ -12,6 +12,7 @@ use std::fmt::Write;
 
 /// Farther objects are left out, meters: PDM-Closed's reach.
 const REACH: f64 = 50.0;
+/// Objects that are listed, the nearest first: a choice of ours, as the paper names no number.
 const MAX_OBJECTS: usize = 10;
 /// Points of a centerline in the text.
 const POINTS: usize = 5;

@@ -19,6 +19,7 @@ const USUAL: WeightFormat = WeightFormat::Q4K;
 const NOTE: &str = "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in \
     four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. `planagent bench MODEL` \
     measures the time of a planning call; `planagent models show MODEL` has more.";
+/// Bytes of a GiB.
 const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Lists the described models.

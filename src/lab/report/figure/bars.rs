@@ -5,6 +5,7 @@ use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{StudyResults, SuiteResults, TypeResults};
 use planagent_agent::simulation::Challenge;
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 980.0;
 /// Columns: names, then a panel for each challenge. The longest type has 54 letters.
 const NAMES: f64 = 350.0;

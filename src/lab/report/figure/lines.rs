@@ -6,6 +6,7 @@ use crate::report::{StudyResults, SuiteResults};
 use crate::study::Study;
 use planagent_agent::simulation::Challenge;
 
+/// Size of the picture and edges of the plot in it, pixels.
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 400.0;
 const LEFT: f64 = 60.0;

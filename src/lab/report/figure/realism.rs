@@ -4,6 +4,7 @@ use super::svg::{Anchor, Picture, Scale, color};
 use crate::realism::{Distribution, SceneComparison};
 use planagent_runs::report::fixed;
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 760.0;
 /// Columns: names, then the percentiles between their extremes.
 const NAMES: f64 = 220.0;

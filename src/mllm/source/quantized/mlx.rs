@@ -15,6 +15,7 @@ pub(super) const METHOD: Method = Method {
     layers,
 };
 
+/// Bits of a number that MLX packs.
 const WIDTHS: [u32; 6] = [2, 3, 4, 5, 6, 8];
 
 /// The settings of a layer.

@@ -337,6 +337,7 @@ fn of_range(bits: u32, smallest: i16, largest: i16) -> Option<WeightFormat> {
 /// How half precision holds numbers. Errors count relative to the largest of them: an error far
 /// below the others changes no product.
 fn in_halves(numbers: &[f32]) -> Held {
+    /// Relative rounding error of half precision, which has 11 binary digits.
     const HALF_STEP: f32 = 1.0 / 2048.0;
     let largest = numbers
         .iter()

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 const MAX_TIME: Duration = Duration::from_secs(5);
 /// Maximum size of a head, bytes. Those of browsers have about 1 KB.
 const MAX_BYTES: usize = 16 * 1024;
+/// Maximum number of fields of a head; browsers send fewer than half as many.
 const MAX_HEADERS: usize = 64;
 /// The names of this machine. A page of another name that leads here by DNS (DNS rebinding) has its
 /// own name as host.

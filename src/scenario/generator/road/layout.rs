@@ -288,7 +288,9 @@ impl Layout {
         style: &RoadStyle,
         course: Course,
     ) -> Result<(), GeometryError> {
+        /// Width of a lane on the ring, meters: turning vehicles need more than on a road.
         const LANE_WIDTH: f64 = 4.6;
+        /// Limit on the ring, m/s (20 mph).
         const SPEED_LIMIT: f64 = 8.9;
         let (before, end) = (self.last(), self.end());
         let half_opening = if plan.arms == 4 { 0.6 } else { 0.7 };

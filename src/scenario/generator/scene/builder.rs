@@ -413,6 +413,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// Slows down every vehicle that could not brake comfortably behind a slower one ahead.
     fn settle(&mut self) {
+        /// Comfortable braking, m/s².
         const BRAKING: f64 = 1.3;
         for _ in 0..3 {
             let bodies = self.traffic.bodies();

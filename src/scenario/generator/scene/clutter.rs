@@ -144,7 +144,9 @@ impl TrafficBuilder<'_, '_> {
     /// Adds a pedestrian who crosses the road away from any crosswalk, where no object blocks the
     /// path.
     pub(crate) fn add_jaywalker(&mut self) {
+        /// Distance of both ends of the crossing from the ego's path, meters.
         const REACH: f64 = 14.0;
+        /// Places that are tried before the scene stays without a jaywalker.
         const TRIES: usize = 5;
         // A place may be blocked; a scene without a jaywalker is better than a search without an
         // end.
