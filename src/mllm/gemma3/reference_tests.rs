@@ -88,8 +88,8 @@ const IMAGE_FAULTS: [Fault; 3] = [
     ("the norm of the projector without the 1", |parts| {
         parts.change("mm_soft_emb_norm.weight", |weight| (weight - 1.0).unwrap());
     }),
-    ("quick_gelu in the tower", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu");
+    ("silu in the tower", |parts| {
+        parts.config["vision_config"]["hidden_act"] = json!("silu");
     }),
     ("the norm behind the tower without its bias", |parts| {
         parts.change("post_layernorm.bias", |bias| bias.zeros_like().unwrap());
