@@ -279,6 +279,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         NETWORK,
     ),
     (
+        "docs/teach.md",
+        "planagent simulate --model FOLDER --adapter adapter",
+        WEIGHTS,
+    ),
+    (
         "docs/nuplan.md",
         "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val",
         NUPLAN,
