@@ -56,6 +56,7 @@ impl Sampler {
         banned: u32,
         position: usize,
     ) -> Result<u32, MllmError> {
+        // NaN compares with nothing: a broken model would seem to choose a token.
         if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
             return Err(MllmError::NonFiniteLogits {
                 position,
@@ -97,6 +98,7 @@ pub(crate) fn log_total(logits: &[f32], allowed: Option<&SimpleVob>, banned: u32
             .filter(|(_, token)| may_follow(*token, allowed, banned))
             .map(|(logit, _)| f64::from(*logit))
     };
+    // The highest logit is taken out, because `exp` of a large one overflows.
     let highest = weighed().fold(f64::NEG_INFINITY, f64::max);
     highest
         + weighed()

@@ -304,6 +304,7 @@ pub(super) fn instruction(
         }
         CenterlineName::LeftLane | CenterlineName::OncomingLane => Lateral::ChangeLeft,
     };
+    // The first reason that holds: what compels a change stands before what makes it better.
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,
