@@ -7,8 +7,8 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Writes a dataset of messages with these further arguments.
-fn write(out: &Path, more: &[&str]) {
+/// Writes a dataset of messages with these states for validation and further arguments.
+fn write(out: &Path, validation: &str, more: &[&str]) {
     let arguments = [
         "dataset",
         "--for",
@@ -18,7 +18,7 @@ fn write(out: &Path, more: &[&str]) {
         "--states",
         "1",
         "--validation",
-        "1",
+        validation,
         "--quiet",
     ];
     let (code, _, stderr) = run(&[&arguments[..], more].concat());
@@ -101,8 +101,8 @@ fn assert_chat(messages: &Value, turns: usize, picture: bool) {
 fn messages_preferences_and_codes_are_tables_with_pictures_beside() {
     let work = TempDir::new().unwrap();
     let (out, again) = (work.path().join("data"), work.path().join("again"));
-    write(&out, &[]);
-    write(&again, &[]);
+    write(&out, "1", &[]);
+    write(&again, "1", &[]);
     assert!(
         files(&out) == files(&again),
         "the same seed, the same bytes"
@@ -190,7 +190,7 @@ fn any_prompt_set_and_described_model_has_its_messages_and_a_shard_is_resumed() 
     ] {
         let out = work.path().join(set);
         let more = ["--model", model, "--prompt-set", set, "--trust-model"];
-        write(&out, &more);
+        write(&out, "0", &more);
         let before = files(&out);
         let messages = rows(&out.join("messages/train/00000.jsonl"));
         assert_table(&messages);
@@ -207,7 +207,7 @@ fn any_prompt_set_and_described_model_has_its_messages_and_a_shard_is_resumed() 
         // What a killed command leaves: a shard without its last file.
         fs::remove_file(out.join("messages/train/00000.jsonl")).unwrap();
         fs::remove_file(out.join("README.md")).unwrap();
-        write(&out, &more);
+        write(&out, "0", &more);
         assert!(files(&out) == before, "{set}");
         let out = out.to_str().unwrap();
         let other = refused(&["dataset", "--for", "messages", "--out", out]);

@@ -656,6 +656,7 @@ pages! {
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",
+    commands_of_teach: "docs/teach.md",
 }
 
 #[test]

@@ -23,7 +23,7 @@ impl RewardKind {
         [("search", Self::Search), ("reflection", Self::Reflection)];
 
     /// The value of an answer without a plan: less than that of any plan.
-    pub fn without_plan(self) -> f64 {
+    pub(crate) fn without_plan(self) -> f64 {
         match self {
             // A plan loses less than 5 by what the search subtracts.
             Self::Search => -5.0,
