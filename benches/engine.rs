@@ -17,7 +17,7 @@ use planagent_agent::simulation::{Challenge, ClosedLoop, simulate};
 use planagent_lab::dataset::{RewardKind, StateName, rewards};
 use planagent_scenario::generator::{DEFAULT, generate};
 use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent_scenario::{DataRoots, Readers};
+use planagent_scenario::{DataRoots, Readers, Scenario};
 use planagent_score::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals,
     simulate_proposals,
@@ -276,9 +276,12 @@ fn engine(c: &mut Criterion) {
 
 /// Rewards of a batch as a trainer asks for them: answers of a group at each of some states.
 fn batch_of_rewards(c: &mut Criterion) {
-    const STATES: u64 = 8;
+    const STATES: usize = 8;
     const GROUP: u32 = 8;
-    let questions: Vec<(StateName, String)> = (0..STATES)
+    let opens = |seed: &u64| Scenario::open(&format!("generated/changing_lane/{seed}")).is_ok();
+    let questions: Vec<(StateName, String)> = (0_u64..)
+        .filter(opens)
+        .take(STATES)
         .flat_map(|seed| (0..GROUP).map(move |answer| (seed, answer)))
         .map(|(seed, answer)| {
             let state = StateName {

@@ -40,7 +40,7 @@ class Answer:
         Wall times of the parts, `total` among them.
     log_probability : float or None
         The natural logarithm of the probability of what the model chose, among what `choices` or `regex` allowed and at
-        temperature 1; `None` from a server.
+        temperature 1; `None` without either, and from a server.
 
     Examples
     --------

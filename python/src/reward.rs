@@ -5,7 +5,6 @@ use crate::trajectory::{array, packed};
 use crate::work::{computed, long};
 use planagent_agent::reflection::SubScores;
 use planagent_lab::dataset::{Reward, RewardKind, StateName, rewards as rewards_of};
-use planagent_runs::worker::run::with_causes;
 use pyo3::prelude::*;
 use pyo3::types::PyByteArray;
 
@@ -63,7 +62,7 @@ pub(crate) fn rewards<'py>(
                 .map_err(|error| Failure::argument(format!("states[{index}]: {error}")))?;
             questions.push((state, answer));
         }
-        rewards_of(&questions, kind).map_err(|error| Failure::argument(with_causes(&error)))
+        rewards_of(&questions, kind).map_err(|error| Failure::argument(error.to_string()))
     };
     let found = long(py, || computed(work), &|| ())?;
     let texts = (

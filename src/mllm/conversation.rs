@@ -243,7 +243,7 @@ pub struct Answer {
     /// Its tokens, to draft a later answer from; none from a server.
     pub ids: Vec<u32>,
     /// The natural logarithm of the probability of the tokens that were sampled, under the
-    /// constraint and at temperature 1; none from a server.
+    /// constraint and at temperature 1; none without a constraint, and from a server.
     pub log_probability: Option<f64>,
     pub tokens: TokenCounts,
     pub time: RoundTime,

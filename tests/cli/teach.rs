@@ -252,6 +252,12 @@ fn an_adapter_that_trl_wrote_drives_a_scene() {
     for call in &with {
         assert!(call["attempts"][0]["code"]["text"].is_string(), "{call}");
     }
-    let answers = |calls: &[Value]| calls[0]["attempts"][0]["rounds"][1]["answer"].clone();
+    let answers = |calls: &[Value]| -> Vec<Value> {
+        let rounds = calls[0]["attempts"][0]["rounds"].as_array().unwrap();
+        rounds.iter().map(|round| round["answer"].clone()).collect()
+    };
     assert_ne!(answers(&with), answers(&without));
+    for round in with[0]["attempts"][0]["rounds"].as_array().unwrap() {
+        assert!(round["log_probability"].as_f64().unwrap() <= 0.0, "{round}");
+    }
 }

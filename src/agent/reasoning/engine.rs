@@ -67,7 +67,7 @@ pub struct RoundRecord {
     /// How the round's grammar was used.
     pub constraint: ConstraintUse,
     /// The natural logarithm of the probability of what the model chose in the answer, among what
-    /// the grammar allowed and at temperature 1; absent from a server.
+    /// the grammar allowed and at temperature 1; absent without a grammar, and from a server.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_probability: Option<f64>,
     /// Tokens read and written.

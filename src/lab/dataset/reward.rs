@@ -274,7 +274,7 @@ mod tests {
     #[test]
     fn answers_are_scored_refused_or_unreadable_in_the_order_of_the_batch() {
         let here = state("generated/changing_lane/3");
-        let other = state("generated/stopping_with_lead/4");
+        let other = state("generated/stopping_with_lead/1");
         let hard = LINE.replace("v0=9", "v0=13");
         let batch = [
             (here.clone(), LINE.to_owned()),
