@@ -168,7 +168,12 @@ fn is_part(text: &str) -> bool {
 pub(super) mod tests {
     use super::*;
 
-    pub(in crate::registry::hub) fn name(id: &str, revision: &str, file: &str, quant: &str) -> HubName {
+    pub(in crate::registry::hub) fn name(
+        id: &str,
+        revision: &str,
+        file: &str,
+        quant: &str,
+    ) -> HubName {
         let some = |text: &str| (!text.is_empty()).then(|| text.to_owned());
         HubName {
             id: id.to_owned(),
