@@ -567,7 +567,8 @@ fn without_comment(
     find: &dyn Fn(&str, &dyn Fn(usize) -> bool) -> Vec<(usize, String)>,
 ) -> Vec<String> {
     let mut found = Vec::new();
-    for (file, text) in sources() {
+    let is_product = |(file, _): &(String, String)| !file.contains("/tests/");
+    for (file, text) in sources().into_iter().filter(is_product) {
         let code: BTreeSet<usize> = code_lines(&text).map(|(number, _)| number).collect();
         let places = find(&text, &|number| code.contains(&number));
         found.extend(
