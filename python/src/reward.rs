@@ -46,6 +46,7 @@ pub(crate) fn rewards<'py>(
     answers: Vec<String>,
     kind: &str,
 ) -> PyResult<(Bound<'py, PyByteArray>, Texts)> {
+    // The work runs on a thread of its own, without the GIL, so it borrows nothing of Python.
     let kind = kind.to_owned();
     let work = move || {
         let known = RewardKind::NAMED.iter().find(|(name, _)| *name == kind);

@@ -70,6 +70,7 @@ fn labels(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow
         (Split::Train, flags.states),
         (Split::Validation, flags.validation),
     ];
+    // States that a model reached are for training alone.
     for (split, states) in splits
         .into_iter()
         .filter(|(split, _)| *split == Split::Train || !flags.driven)

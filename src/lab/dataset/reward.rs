@@ -159,6 +159,7 @@ fn at_state(state: &OpenState, answers: &[&str], kind: RewardKind) -> Vec<Reward
     let names = Names::from_graph(graph);
     let parsed: Vec<Parsed<PlannerCode>> =
         answers.iter().map(|answer| parse(answer, &names)).collect();
+    // Answers of a group often have the same code, which is simulated once.
     let mut codes: Vec<PlannerCode> = Vec::new();
     for code in parsed.iter().filter_map(|parsed| parsed.answer) {
         if !codes.contains(&code) {

@@ -83,6 +83,7 @@ pub(super) fn label_scenario(
             best,
             ..
         } = *visited;
+        // After a rejection another attempt costs nothing more, so the decisions weigh differently.
         let weights = DecisionWeights::from_candidates(best, tried, feedback.is_some());
         let lessons = lessons(best, tried, feedback.is_some());
         let feedback = feedback

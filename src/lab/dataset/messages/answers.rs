@@ -148,6 +148,7 @@ fn free_understanding(seen: Seen<'_>) -> String {
         (None, Some(limit)) => format!("the limit is unknown, about {limit} m/s"),
         (None, None) => "the limit is unknown".to_owned(),
     };
+    // A line has the number of its question, so that round 2 can be read beside the prompt.
     let lines = [
         format!("1. {}; {lanes}.", place(facts.scene_type)),
         format!("2. {}. {crosswalk}.", light(&description)),

@@ -103,6 +103,7 @@ impl<'a> Card<'a> {
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
+        // A server does not say how many tokens a picture becomes.
         let (model, settings) = (self.model, self.settings);
         let picture = match model.image_pixels {
             Some(pixels) => format!(
@@ -142,6 +143,7 @@ impl<'a> Card<'a> {
             "assistant_tag": "assistant", "system_tag": "system",
         });
         let entry = |file: &str, split: &str, columns: Value, ranking: bool| {
+            // A column of pictures that is not there would be an error.
             let mut columns = columns;
             if let (Some(_), Some(columns)) = (self.model.image_pixels, columns.as_object_mut()) {
                 columns.insert("images".to_owned(), json!("images"));
@@ -173,6 +175,7 @@ impl<'a> Card<'a> {
 
 impl Counted {
     fn read(folder: &Path, split: Split) -> Result<Self, DatasetError> {
+        // Shards are written in order, so that the first gap is the end.
         let numbers = (0..).take_while(|&number| complete(folder, split, number).is_some());
         let numbers: Vec<usize> = numbers.collect();
         let text = |file: &str, number: usize| {

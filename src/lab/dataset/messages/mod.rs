@@ -172,6 +172,7 @@ fn write_shard(
             rows.show(&path);
         }
     }
+    // The file that shows completeness comes last.
     for file in FILES {
         let lines = match file {
             CONVERSATIONS => lines(made.iter().map(|rows| &rows.conversation))?,

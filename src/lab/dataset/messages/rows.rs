@@ -129,6 +129,7 @@ impl Rows {
         settings: &Settings<'_>,
         model: &MessageModel,
     ) -> Result<Self, PromptError> {
+        // A code is preferred whatever was refused before, so preferences have no feedback.
         let first = Chat::of_state(visited, None, settings, model)?;
         let state = StateName {
             scenario: visited.simulation.scenario().id.clone(),
@@ -286,6 +287,7 @@ impl<'a> Chat<'a> {
             self.instruct.answer(accepted),
             self.instruct.answer(refused),
         );
+        // A code that contradicts the instruction before it would teach consistency alone.
         let (round, prompt, good, bad) = if good == bad {
             let prompt = self.before_code(accepted);
             let (good, bad) = (accepted.code.to_string(), refused.code.to_string());
