@@ -1,7 +1,7 @@
 //! The layer of Llama, Mistral, Qwen 2, Qwen 3 and Gemma 3.
 
 use super::attention::CausalAttention;
-use super::cache::KvCache;
+use super::cache::{DecoderCache, LayerState};
 use super::head_norms::HeadNorms;
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
 use crate::MllmError;
@@ -9,6 +9,7 @@ use crate::checkpoint::{LlamaConfig, Weights};
 use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
+use planagent_kernels::attention::Precision;
 
 /// A Llama layer. Query, key and value projections are one matrix. Qwen 3 normalizes the queries
 /// and keys of each head, and Gemma 3 also what attention and feed-forward network add.
@@ -76,7 +77,16 @@ impl DecoderLayer for LlamaLayer {
         self.attention.exact_pass()
     }
 
-    fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
+    fn new_state(&self, precision: Precision) -> LayerState {
+        self.attention.new_state(precision)
+    }
+
+    fn forward(
+        &self,
+        x: &Tensor,
+        pass: &Pass,
+        cache: &mut DecoderCache,
+    ) -> candle_core::Result<Tensor> {
         let qkv = self.qkv.forward(&self.input_norm.forward(x)?)?;
         let qkv = match &self.head_norms {
             Some(norms) => norms.forward(&qkv)?,

@@ -158,9 +158,10 @@ fn logits_hash() -> String {
                 .append(model, &[token], features.as_ref(), Logits::Last)
                 .unwrap());
         }
-        sequence.truncate(patches + 86);
+        let again = sequence.cut(patches + 86);
+        let piece = [again.as_slice(), &[5, 6, 7, 8, 9]].concat();
         add(sequence
-            .append(model, &[5, 6, 7, 8, 9], features.as_ref(), Logits::All)
+            .append(model, &piece, features.as_ref(), Logits::Tail(5))
             .unwrap());
     }
     hasher.finalize().to_hex().to_string()

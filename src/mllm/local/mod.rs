@@ -218,6 +218,7 @@ impl LocalModel {
         }
         let mut sequence = Sequence::new(&*self.model);
         sequence.append(&*self.model, &ids[..len], None, Logits::None)?;
+        sequence.mark();
         let prefix = Arc::new(CallPrefix {
             system: system.to_string(),
             image,
