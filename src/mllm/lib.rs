@@ -37,6 +37,7 @@ mod gguf;
 mod internvl;
 mod key_variable;
 mod latency;
+mod lfm2_vl;
 mod llava;
 mod llava_next;
 mod local;

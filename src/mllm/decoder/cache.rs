@@ -9,6 +9,12 @@ use std::sync::Arc;
 /// whose loss costs the fewest positions.
 const MAX_MARKS: usize = 4;
 
+/// Most copies of a layer's state in a cache: that of the present, two that are kept by themselves,
+/// and the marks.
+pub(crate) const MOST_STATES: usize = MAX_MARKS + 3;
+/// Most rows that a layer with a state keeps.
+pub(crate) const MOST_ROWS: usize = 3 * EVERY;
+
 /// What a layer keeps of the positions before.
 #[derive(Debug, Clone)]
 pub(crate) struct LayerState(Kind);

@@ -113,17 +113,16 @@ fn act(branches: &mut Vec<Branch>, at: &mut usize, action: &Action) {
         Action::Append(tokens) => {
             append(cache, LAYERS, tokens);
             known.extend(tokens);
+            // The last positions of a pass are undone exactly, as a draft that was refused.
+            let back = known.len() - tokens.len().min(EVERY);
+            assert_eq!(cache.clone().cut(back), back);
         }
         Action::Mark => cache.mark_at(known.len()),
         Action::Plan(further) => cache.mark_at(known.len() + further),
         Action::Cut(len) => {
-            let (before, asked) = (known.len(), (*len).min(known.len()));
+            let asked = (*len).min(known.len());
             let reached = cache.cut(asked);
             assert!(reached <= asked);
-            assert!(
-                reached == asked || before - asked > EVERY,
-                "{before} {asked} {reached}"
-            );
             known.truncate(reached);
         }
         Action::Branch if count < 4 => {
@@ -161,7 +160,7 @@ proptest! {
     ) {
         let rule = Arc::new(Mixing::default());
         let mut cache = DecoderCache::new(vec![LayerState::recurrent(rule.clone())], 4096);
-        let mut step = |cache: &mut DecoderCache, count: usize| {
+        let step = |cache: &mut DecoderCache, count: usize| {
             append(cache, 1, &vec![3; count])
         };
         step(&mut cache, before);

@@ -12,11 +12,15 @@ mod cache_tests;
 mod head_norms;
 mod layer;
 mod llama;
+mod mixer;
 mod recurrence;
+mod self_attention;
+mod short_convolution;
+mod taps;
 
 pub(crate) use attention::CausalAttention;
 pub use cache::DecoderCache;
-pub(crate) use cache::LayerState;
+pub(crate) use cache::{LayerState, MOST_ROWS, MOST_STATES};
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 pub use planagent_kernels::attention::Position;

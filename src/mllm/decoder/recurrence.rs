@@ -4,8 +4,8 @@ use candle_core::Result;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// Positions from one point that is kept by itself to the next. A sequence goes back by as many
-/// exactly, whatever its marks are; no draft is longer.
+/// Positions from one point that is kept by itself to the next. The last positions of a pass, as many
+/// as these, are undone exactly, whatever the marks are; no draft is longer.
 pub(super) const EVERY: usize = 16;
 
 /// How the state of a layer follows from the rows that it reads. It begins as zeros.
@@ -82,7 +82,8 @@ impl Recurrent {
             let (now, later) = rows.split_at(count * row);
             let (written, rest) = std::mem::take(&mut left).split_at_mut(count * width);
             if count > 0 {
-                self.rule.run(Arc::make_mut(&mut self.now), now, written);
+                let state: &mut Vec<f32> = Arc::make_mut(&mut self.now);
+                self.rule.run(state, now, written);
                 Arc::make_mut(&mut self.recent).extend_from_slice(now);
             }
             (rows, left) = (later, rest);
@@ -117,7 +118,7 @@ impl Recurrent {
         if len >= self.recent_start {
             return len;
         }
-        let before = self.kept.iter().map(|(at, _)| *at);
+        let mut before = self.kept.iter().map(|(at, _)| *at);
         before.rfind(|at| *at <= len).unwrap_or(0)
     }
 
@@ -144,7 +145,8 @@ impl Recurrent {
             .unwrap_or_default();
         if !again.is_empty() {
             let mut out = vec![0.0; (len - from) * self.rule.out()];
-            self.rule.run(Arc::make_mut(&mut self.now), again, &mut out);
+            let state: &mut Vec<f32> = Arc::make_mut(&mut self.now);
+            self.rule.run(state, again, &mut out);
         }
     }
 }

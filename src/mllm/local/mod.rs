@@ -28,6 +28,8 @@ mod outside_tests;
 #[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
+mod state_tests;
+#[cfg(test)]
 pub(crate) mod test_faults;
 #[cfg(test)]
 pub(crate) mod test_prompts;
