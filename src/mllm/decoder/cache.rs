@@ -9,9 +9,9 @@ use std::sync::Arc;
 /// whose loss costs the fewest positions.
 const MAX_MARKS: usize = 4;
 
-/// Most copies of a layer's state in a cache: that of the present, two that are kept by themselves,
-/// and the marks.
-pub(crate) const MOST_STATES: usize = MAX_MARKS + 3;
+/// Most copies of a layer's state in a cache: that of the present, three that are kept by
+/// themselves, and the marks.
+pub(crate) const MOST_STATES: usize = MAX_MARKS + 4;
 /// Most rows that a layer with a state keeps.
 pub(crate) const MOST_ROWS: usize = 3 * EVERY;
 
@@ -102,7 +102,7 @@ impl DecoderCache {
             let before = reached;
             for layer in &self.layers {
                 if let Kind::Recurrent(state) = &layer.0 {
-                    reached = state.reach(reached);
+                    reached = state.reach(reached, &self.marks);
                 }
             }
             if reached == before {
@@ -127,9 +127,9 @@ impl DecoderCache {
         let passed = |mark: &usize| start < *mark && *mark <= end;
         let planned: Vec<usize> = self.planned.iter().copied().filter(passed).collect();
         self.planned.retain(|mark| *mark > end);
-        // The last two are all that stays.
+        // The last three are all that stays.
         let last = end / EVERY * EVERY;
-        let own = [last.saturating_sub(EVERY), last];
+        let own = [2, 1, 0].map(|before| last.saturating_sub(before * EVERY));
         self.stops = planned
             .iter()
             .copied()

@@ -100,7 +100,7 @@ impl Recurrent {
         if self.len > 0 && self.kept.last().is_none_or(|(at, _)| *at < self.len) {
             self.kept.push((self.len, Arc::clone(&self.now)));
         }
-        let far = |at: &usize| *at + EVERY <= self.len;
+        let far = |at: &usize| *at + 2 * EVERY <= self.len;
         let start = self.kept.iter().map(|(at, _)| *at).rfind(far);
         if let Some(start) = start.filter(|start| *start > self.recent_start) {
             let rows = (start - self.recent_start) * self.rule.row();
@@ -112,14 +112,18 @@ impl Recurrent {
             .retain(|(at, _)| *at >= recent || marks.contains(at));
     }
 
-    /// The position nearest to `len`, and not behind it, that [`Self::cut`] reaches.
-    pub(super) fn reach(&self, len: usize) -> usize {
+    /// The position nearest to `len`, and not behind it, that [`Self::cut`] goes back to: one of the
+    /// last, or one of `marks`. It does not depend on positions that were computed and undone.
+    pub(super) fn reach(&self, len: usize, marks: &[usize]) -> usize {
         let len = len.min(self.len);
-        if len >= self.recent_start {
+        let last = (self.len / EVERY * EVERY).saturating_sub(EVERY);
+        if len >= last.max(self.recent_start) {
             return len;
         }
         let mut before = self.kept.iter().map(|(at, _)| *at);
-        before.rfind(|at| *at <= len).unwrap_or(0)
+        before
+            .rfind(|at| *at <= len && marks.contains(at))
+            .unwrap_or(0)
     }
 
     /// Goes back to a position that [`Self::reach`] gave.
