@@ -204,6 +204,7 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
                 return Err(error);
             }
         };
+        // After the last layer, since every layer writes at the same positions.
         cache.advance(tokens);
         let x = match wanted {
             Logits::None => return Ok(None),
