@@ -11,9 +11,9 @@ const MAX_MARKS: usize = 4;
 
 /// Most copies of a layer's state in a cache: that of the present, three that are kept by
 /// themselves, and the marks.
-pub(crate) const MOST_STATES: usize = MAX_MARKS + 4;
+pub(crate) const MAX_STATES: usize = MAX_MARKS + 4;
 /// Most rows that a layer with a state keeps.
-pub(crate) const MOST_ROWS: usize = 3 * EVERY;
+pub(crate) const MAX_ROWS: usize = 3 * EVERY;
 
 /// What a layer keeps of the positions before.
 #[derive(Debug, Clone)]

@@ -20,7 +20,7 @@ mod taps;
 
 pub(crate) use attention::CausalAttention;
 pub use cache::DecoderCache;
-pub(crate) use cache::{LayerState, MOST_ROWS, MOST_STATES};
+pub(crate) use cache::{LayerState, MAX_ROWS, MAX_STATES};
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 pub use planagent_kernels::attention::Position;

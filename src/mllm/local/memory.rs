@@ -2,7 +2,7 @@
 
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, WeightFormatPlan, Weights, in_bytes};
-use crate::decoder::{MOST_ROWS, MOST_STATES};
+use crate::decoder::{MAX_ROWS, MAX_STATES};
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
@@ -159,8 +159,8 @@ impl MemoryNeed {
         let width = |width: usize| width.min(widest) as u64;
         let layers = decoder.attention_layers().min(shapes().count()) as u64;
         let own = decoder.own_state();
-        let kept = (MOST_STATES.saturating_mul(own.state))
-            .saturating_add(MOST_ROWS.saturating_mul(own.row)) as u64;
+        let kept = (MAX_STATES.saturating_mul(own.state))
+            .saturating_add(MAX_ROWS.saturating_mul(own.row)) as u64;
         let states = float
             .saturating_mul(kept)
             .saturating_mul(own.layers.min(shapes().count()) as u64);
