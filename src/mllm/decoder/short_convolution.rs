@@ -33,7 +33,7 @@ impl ShortConvolution {
         let (hidden, bias) = (config.hidden, convolution.bias);
         let part = |part: &str| format!("{name}.conv.{part}");
         Ok(Self {
-            project: weights.take_linear(&part("in_proj"), 3 * hidden, hidden, bias)?,
+            project: weights.take_linear(&part("in_proj"), hidden, 3 * hidden, bias)?,
             taps: Arc::new(Taps::take(
                 weights,
                 &part("conv"),
