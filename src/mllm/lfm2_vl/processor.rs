@@ -247,9 +247,16 @@ impl ViewProcessor {
         side * side
     }
 
+    /// Most pixels of one view. The sides of a small picture are rounded up, which may exceed the
+    /// limit where that is near the least.
+    fn most_pixels(&self) -> f64 {
+        let [least, most] = self.pixels;
+        most.max(2.0 * least)
+    }
+
     /// Tokens of the image that becomes the most.
     pub(super) fn max_tokens(&self) -> usize {
-        let one = (self.pixels[1] / f64::from(self.token).powi(2)) as usize;
+        let one = (self.most_pixels() / f64::from(self.token).powi(2)) as usize;
         let tiles = self
             .tiles
             .map_or(0, |[_, most]| most as usize * self.tile_tokens() + one);
@@ -301,7 +308,7 @@ impl ViewProcessor {
             thumbnail: self.thumbnail,
         };
         // A side has one token at least, so that a line may be too long.
-        if plan.has_whole() && f64::from(whole.0) * f64::from(whole.1) > self.pixels[1] {
+        if plan.has_whole() && f64::from(whole.0) * f64::from(whole.1) > self.most_pixels() {
             let problem = format!("{width} x {height} pixels are too narrow for one view");
             return Err(MllmError::Image { problem });
         }
