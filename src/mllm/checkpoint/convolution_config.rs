@@ -23,6 +23,7 @@ impl ConvolutionConfig {
         const FULL: &str = "full_attn_idxs";
         let types: Option<Vec<String>> = text.value(TYPES)?;
         let full: Option<Vec<usize>> = text.value(FULL)?;
+        // Newer files name the kind of each layer, older ones the numbers of those with attention.
         let convolve = match (types, full) {
             (Some(types), _) => types
                 .iter()

@@ -70,6 +70,7 @@ impl Recurrent {
         }
         let tokens = rows.len() / row;
         let mut out = vec![0.0; tokens * width];
+        // A state is kept where a run ends, so that the rows are run from stop to stop.
         let (mut rows, mut left) = (rows, out.as_mut_slice());
         let end = start + tokens;
         for stop in stops

@@ -112,6 +112,7 @@ fn merged(files: &ModelFiles) -> Result<(String, Value), MllmError> {
         }
         kept
     };
+    // The first file that has a key decides.
     let parts = [
         own,
         nested,
