@@ -42,7 +42,7 @@ impl ViewEncoder {
             &[config.positions * config.positions, hidden],
         )?;
         let layer = |index| format!("vision_tower.encoder.layers.{index}");
-        // Unlike in LLaVA, the norm behind the last layer is part of the tower: features are normalized.
+        // Unlike in LLaVA, features are the states behind the last norm of the tower.
         Ok(Self {
             patch_embedding: take_patch_embedding(weights, vision)?,
             position_embedding: learned.flatten_all()?.to_vec1()?,
