@@ -103,8 +103,8 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "lab",
         &[
-            &["rank_correlation", "study"],
-            &["bench", "dataset", "tokens"],
+            &["rank_correlation", "study", "tokens"],
+            &["bench", "dataset"],
             &["memory", "realism", "twins"],
             &["report"],
             &["study_runs"],
