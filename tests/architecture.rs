@@ -90,7 +90,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
                 "smolvlm",
                 "text_only",
             ],
-            &["gemma3", "llava_next", "qwen2_5_vl", "qwen2_vl"],
+            &["gemma3", "lfm2_vl", "llava_next", "qwen2_5_vl", "qwen2_vl"],
             &["llava_onevision"],
             &["families"],
             &["source"],

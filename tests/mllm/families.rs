@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 11] = [
+const FAMILIES: [Tiny; 12] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -63,6 +63,10 @@ const FAMILIES: [Tiny; 11] = [
         name: "tiny_gemma3",
         architecture: "gemma3",
     },
+    Tiny {
+        name: "tiny_lfm2_vl",
+        architecture: "lfm2-vl",
+    },
 ];
 
 /// A tiny checkpoint with references.
@@ -78,8 +82,8 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 }
 
 /// Families without a vision tower, which the decoders of the others are checkpoints of
-/// (`src/mllm/local/text_only_tests.rs`), but for the last.
-const TEXT_ONLY: [&str; 4] = ["llama", "qwen2", "qwen3", "gemma3_text"];
+/// (`src/mllm/local/text_only_tests.rs`), but for the last two.
+const TEXT_ONLY: [&str; 5] = ["llama", "qwen2", "qwen3", "gemma3_text", "lfm2"];
 
 #[test]
 fn every_family_has_a_checkpoint() {
@@ -476,6 +480,9 @@ fn the_described_models_are_all_readable() {
         ("llava-onevision-0.5b", "llava-onevision"),
         ("llava-onevision-7b", "llava-onevision"),
         ("gemma-3-4b", "gemma3"),
+        ("lfm2-vl-450m", "lfm2-vl"),
+        ("lfm2.5-vl-450m", "lfm2-vl"),
+        ("lfm2.5-vl-1.6b", "lfm2-vl"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

@@ -8,8 +8,8 @@
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{
-    MllmError, cogvlm, gemma3, internvl, llava, llava_next, llava_onevision, qwen2_5_vl, qwen2_vl,
-    qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, gemma3, internvl, lfm2_vl, llava, llava_next, llava_onevision, qwen2_5_vl,
+    qwen2_vl, qwen3_vl, smolvlm, text_only,
 };
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -76,7 +76,8 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "qwen3-vl" => qwen3_vl::read_files(&files),
         "llava-onevision" => llava_onevision::read_files(&files),
         "gemma3" => gemma3::read_files(&files),
-        "gemma3_text" => text_only::read_files(&files),
+        "lfm2-vl" => lfm2_vl::read_files(&files),
+        "gemma3_text" | "lfm2" => text_only::read_files(&files),
         other => panic!("{other} is no family"),
     }
 }
