@@ -11,6 +11,8 @@ const FORMAT: u32 = 1;
 const MAX_BYTES: u64 = 64 << 20;
 /// Most items of a memory.
 const MAX_ITEMS: usize = 100_000;
+/// Longest text of an item, bytes. A scene in words has about 2,000.
+const MAX_TEXT: usize = 64 << 10;
 
 /// A memory of one agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,6 +26,32 @@ pub struct Memory<T> {
     pub source: String,
     /// The items, in the order of the scenarios.
     pub items: Vec<T>,
+}
+
+/// What is remembered.
+pub(crate) trait Remembered: DeserializeOwned {
+    /// Its texts by the names of their fields.
+    fn texts(&self) -> [(&'static str, &str); 3];
+}
+
+impl Remembered for DiluItem {
+    fn texts(&self) -> [(&'static str, &str); 3] {
+        [
+            ("description", &self.description),
+            ("answer", &self.answer),
+            ("comment", &self.comment),
+        ]
+    }
+}
+
+impl Remembered for ExperienceItem {
+    fn texts(&self) -> [(&'static str, &str); 3] {
+        [
+            ("text", &self.text),
+            ("goal", &self.goal),
+            ("source", &self.source),
+        ]
+    }
 }
 
 /// A remembered decision of DiLu.
@@ -92,6 +120,15 @@ pub(crate) enum MemoryError {
     },
     #[error("the memory {} has {count} items, and {MAX_ITEMS} are the limit", path.display())]
     TooLarge { path: PathBuf, count: usize },
+    #[error(
+        "in the memory {}: {field} of item {item} has {bytes} bytes, and {MAX_TEXT} are the limit", path.display()
+    )]
+    TooLong {
+        path: PathBuf,
+        item: usize,
+        field: &'static str,
+        bytes: usize,
+    },
 }
 
 /// BLAKE3 of a file, hexadecimal; `None` where it cannot be read.
@@ -114,7 +151,7 @@ impl<T> Memory<T> {
     }
 }
 
-impl<T: DeserializeOwned> Memory<T> {
+impl<T: Remembered> Memory<T> {
     /// Reads the memory of an agent; an agent without a file has none.
     pub(crate) fn open(file: Option<&str>, agent: &'static str) -> Result<Self, MemoryError> {
         let Some(file) = file else {
@@ -140,6 +177,17 @@ impl<T: DeserializeOwned> Memory<T> {
         if memory.items.len() > MAX_ITEMS {
             let count = memory.items.len();
             return Err(MemoryError::TooLarge { path, count });
+        }
+        for (i, item) in memory.items.iter().enumerate() {
+            let long = |(_, text): &(&str, &str)| text.len() > MAX_TEXT;
+            if let Some((field, text)) = item.texts().into_iter().find(long) {
+                return Err(MemoryError::TooLong {
+                    path,
+                    item: i + 1,
+                    field,
+                    bytes: text.len(),
+                });
+            }
         }
         Ok(memory)
     }
@@ -169,6 +217,13 @@ mod tests {
         write("{\"format\": 1, \"agent\": \"dilu\"");
         let error = Memory::<DiluItem>::open(Some(name), "dilu").unwrap_err();
         assert!(error.to_string().contains("line 1"), "{error}");
+        let long = serde_json::to_string(&memory).unwrap();
+        write(&long.replace("a road", &"road ".repeat(MAX_TEXT)));
+        let error = Memory::<DiluItem>::open(Some(name), "dilu").unwrap_err();
+        assert!(
+            error.to_string().contains("description of item 1 has"),
+            "{error}"
+        );
         let missing = folder.path().join("nothing.json");
         let error = Memory::<DiluItem>::open(missing.to_str(), "dilu").unwrap_err();
         assert!(error.to_string().contains("nothing.json"), "{error}");
