@@ -389,11 +389,22 @@ def test_steps_beyond_the_end_are_the_end():
         assert planagent.Simulation(SCENE).run(planner, steps=10**20).is_over
 
 
-@pytest.mark.parametrize("dt", [1e300, 1e9, 1e-9])
+@pytest.mark.parametrize("dt", [1e300, 1e9, 1e7, 1e-9])
 def test_poses_without_a_time_are_refused(dt):
     poses = np.tile(planagent.open(SCENE).observe().ego.pose, (40, 1))
     with pytest.raises(planagent.errors.ArgumentError):
         planagent.Simulation(SCENE).step(poses, dt=dt)
+
+
+def test_a_plan_of_years_is_refused():
+    def years(observation):
+        ego = observation.ego
+        return planagent.Trajectory([ego.pose, ego.pose], [ego.time_us, ego.time_us + 10**15])
+
+    with pytest.raises(planagent.PlanAgentError, match="600 s are the limit"):
+        planagent.Simulation(SCENE).run(years, steps=1)
+    results = planagent.simulate(SCENE, {"years": years, "idm": "idm"})
+    assert [failure.planner for failure in results.failures] == ["years"]
 
 
 def test_a_step_follows_no_plan_that_leaves_the_ego():
