@@ -13,7 +13,7 @@ use planagent_mllm::{
     Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, LoadReport, Mark, Mllm,
     MllmError, ModelDescription, PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
-use planagent_scenario::generator;
+use planagent_scenario::generator::{Spec, generate, types};
 use std::cell::OnceCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -85,15 +85,15 @@ impl Conversation for ScriptedChat<'_> {
     fn rewind(&mut self, _: Mark) {}
 }
 
-/// Runs `with` in the default scene at its beginning.
+/// Runs `with` in a scene at its beginning.
 fn in_scene<T>(with: impl FnOnce(&ClosedLoop<'static>) -> T) -> T {
     thread_local! {
         static SCENE: OnceCell<ClosedLoop<'static>> = const { OnceCell::new() };
     }
     SCENE.with(|scene| {
         with(scene.get_or_init(|| {
-            let scenario =
-                generator::generate(&generator::DEFAULT).expect("the scene is generated");
+            let spec = Spec::new(types::changing_lane::TYPE, 0);
+            let scenario = generate(&spec).expect("the scene is generated");
             ClosedLoop::new(Arc::new(scenario), Challenge::Reactive)
                 .expect("the scene can be simulated")
         }))

@@ -96,7 +96,7 @@ def test_wrong_actions_are_named():
     environment.reset(seed=0)
     with pytest.raises(ValueError, match="is no code"):
         environment.step({"centerline": 7, "speed": 0, "accelerations": 0})
-    with pytest.raises(ValueError, match="none of"):
+    with pytest.raises(ValueError, match="expected one of"):
         environment.reset(options={"scenario": "generated/changing_lane/3"})
     with pytest.raises(ValueError, match="needs a scenario"):
         envs.CodeEnv([])
