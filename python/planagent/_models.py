@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _arguments as arguments
-from . import _core
+from . import _arrays, _core
 from ._arguments import seconds, whole, wrong
 from ._planners import settings_json
 from .errors import ArgumentError
@@ -171,7 +171,7 @@ class Model:
         """
         picture = None
         if image is not None:
-            array = np.ascontiguousarray(image)
+            array = np.ascontiguousarray(_arrays.array("image", image, "expected a picture of height x width x 3 uint8 numbers"))
             if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
                 raise ArgumentError(
                     f"expected a picture of height x width x 3 uint8 numbers, got {array.dtype} of shape {array.shape}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arguments import wrong
-from ._arrays import KINDS
+from ._arrays import KINDS, array
 from .errors import ScenarioError
 
 #: Length and width of an object where its table has none, meters: those of the library.
@@ -41,7 +41,7 @@ class _Table:
             argument = name.split()[-1]
             raise wrong(argument, source, "expected a table: of pandas, of polars, or a dictionary of columns")
         self._name = name
-        self._columns = {str(column): np.asarray(source[column]) for column in columns}
+        self._columns = {str(column): array(f"the column {column} of {name}", source[column], "expected a value a row") for column in columns}
         lengths = {len(column) for column in self._columns.values()}
         if len(lengths) > 1:
             raise ScenarioError(f"the columns of the table of {name} have different lengths: {sorted(lengths)}")

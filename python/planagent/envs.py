@@ -181,7 +181,7 @@ class _Form:
                 raise wrong("the action", actions, f"expected the keys {', '.join(CODE)}")
             parts = [_whole_numbers(name, actions[name], shape, size) for name, size in CODE.items()]
         elif self.name == "multi":
-            values = np.asarray(actions)
+            values = _arrays.array("the action", actions, f"expected the shape {(*shape, len(CODE))}")
             if values.shape != (*shape, len(CODE)):
                 raise wrong("the action", actions, f"expected the shape {(*shape, len(CODE))}, got {values.shape}")
             parts = [_whole_numbers(name, values[..., i], shape, size) for i, (name, size) in enumerate(CODE.items())]

@@ -369,6 +369,7 @@ def test_what_is_given_twice_must_agree():
         (lambda: planagent.open(""), "name is ''"),
         (lambda: planagent.Model(""), "name is ''"),
         (lambda: planagent.Model("nano").ask(None, "?", choices=["a"] * 5000), "5000 of them"),
+        (lambda: planagent.Model("nano").ask([[1, 2], [3]], "?"), r"image is \[\[1, 2\], \[3\]\]; expected a picture"),
         (lambda: planagent.Model("nano").ask(None, "?", deadline_s=1e300), "deadline_s is 1e"),
         (lambda: planagent.open(SCENE).observe().code("there"), "centerline is 'there'; expected one of ego_lane"),
         (lambda: planagent.open(SCENE).observe().lane_graph("long"), "form is 'long'; expected one of paper"),

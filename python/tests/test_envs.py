@@ -217,6 +217,10 @@ def test_wrong_seeds_options_and_counts_are_named():
             environment.reset(**arguments)
         with pytest.raises(planagent.errors.ArgumentError, match=said):
             envs.CodeVectorEnv(1, SCENES[0]).reset(**arguments)
+    several = envs.CodeEnv(SCENES[0], actions="multi")
+    several.reset()
+    with pytest.raises(planagent.errors.ArgumentError, match="the action is"):
+        several.step([[1, 2], [3]])
     for count in (10**7, 10**30):
         with pytest.raises(planagent.errors.ArgumentError, match="num_envs is"):
             envs.CodeVectorEnv(count, SCENES[0])

@@ -104,6 +104,7 @@ def test_what_is_wrong_with_a_table_is_named(change, said):
         ({"ego": None}, "ego is None; expected a table"),
         ({"agents": 3}, "agents is 3; expected a table"),
         ({"lanes": "lanes.csv"}, "lanes is 'lanes.csv'; expected a table"),
+        ({"ego": {**ego(), "x": [[1.0, 2.0], [3.0]] * 40}}, "column x of the ego is"),
         ({"id": "\udcff"}, "id is"),
         ({"id": 3}, "id is 3"),
         ({"scenario_type": 3}, "scenario_type is 3"),
