@@ -24,6 +24,7 @@ mod settings;
 mod shards;
 #[cfg(unix)]
 mod streams;
+mod teach;
 mod wild;
 
 use crate::outside::{Missing, Needy, data};

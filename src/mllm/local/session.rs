@@ -290,8 +290,7 @@ impl LocalConversation<'_> {
         let whole = [ids.as_slice(), before].concat();
         let computed_so_far = if reasoned.is_some() {
             let agree = self.sequence.agree(&whole);
-            self.sequence
-                .truncate(agree.min(whole.len().saturating_sub(1)));
+            self.sequence.cut(agree.min(whole.len().saturating_sub(1)));
             self.sequence.ids().len()
         } else {
             cached
@@ -361,6 +360,7 @@ impl LocalConversation<'_> {
                 remote: 0.0,
                 total: prefix_time + milliseconds(start.elapsed()),
             },
+            log_probability: generated.log_probability,
             finish: generated.finish,
             constraint: match request.constraint {
                 Constraint::Free => ConstraintUse::Unconstrained,
