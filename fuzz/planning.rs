@@ -70,6 +70,7 @@ impl Conversation for ScriptedChat<'_> {
         Ok(Answer {
             text: answer.cloned().unwrap_or_default(),
             ids: Vec::new(),
+            log_probability: None,
             tokens: TokenCounts::default(),
             time: RoundTime::default(),
             finish: FinishReason::Complete,
