@@ -4,6 +4,7 @@
 mod events;
 mod finish;
 mod gathered;
+mod lenient;
 mod marks;
 mod message;
 mod thinking;
