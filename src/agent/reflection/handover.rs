@@ -66,6 +66,7 @@ pub(super) fn better_proposal(
         .map(|own| relative(own).total)
         .fold(0.0, f64::max)
         + MIN_GAIN;
+    // Reversed, because `max_by` takes the last of equals and the first should win.
     let scores = scores.iter().map(relative).enumerate().rev();
     let best = scores.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total));
     let Some((index, score)) = best.filter(|(_, score)| score.total > needed) else {

@@ -126,6 +126,8 @@ impl<'a> Judge<'a> {
         } = memory
         {
             let mut judge = Self::along(scene, reference_path, horizon_s, collided)?;
+            // Elsewhere what lies beyond the horizon decides nothing, and these roll-outs take
+            // time.
             if is_compared(graph, judge.rivals.progress_m) {
                 judge.compare_with_lanes(graph, horizon_s)?;
             }
@@ -165,6 +167,7 @@ impl<'a> Judge<'a> {
         let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
+        // The proposals borrow the instant, which moves into the judge.
         drop(proposals);
         let reaches = scores
             .iter()

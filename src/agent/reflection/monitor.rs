@@ -158,6 +158,7 @@ impl PlanMonitor {
                     simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed),
                 )
             })
+            // All versions are scored in one batch, since progress is relative to the best of them.
             .unzip();
         let scores = score_versions(
             scene,
@@ -187,6 +188,7 @@ impl PlanMonitor {
         let is_refused = |score: &ProposalScore| overtakes && score.driving_direction <= 0.0;
         let best = |among: fn(Version) -> bool| {
             let among = scored.iter().filter(|&&(version, _)| among(version));
+            // Reversed, because `max_by` takes the last of equals and the first should win.
             among
                 .rev()
                 .max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))

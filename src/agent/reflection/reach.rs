@@ -84,6 +84,8 @@ pub(super) fn reach_of_lanes(
     steps: usize,
     horizon_s: f64,
 ) -> Result<LaneReach, ReflectionError> {
+    // The most that a plan could do: at the limit, behind the nearest agent, with the whole
+    // acceleration.
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
         ride: Ride::Idm,

@@ -348,6 +348,7 @@ impl IdmPlan {
                 let at_most = self.bends.acceleration(progress, speed);
                 idm.acceleration(speed, behind).min(at_most)
             };
+            // Explicit Euler with the old speed, as in PDM-Closed's own roll-outs.
             progress += STEP_S * speed;
             speed = (speed + STEP_S * accel).max(0.0);
             rollout.poses.push(path.smooth_pose_at(progress));

@@ -256,6 +256,7 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
             Some(problem) => Err(MllmError::ChatTemplate { path, problem }),
         };
     }
+    // Newer places first; older models keep the template in the last of these.
     for file in [
         "chat_template.json",
         "processor_config.json",
