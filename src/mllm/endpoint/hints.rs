@@ -117,9 +117,15 @@ impl Refusal<'_> {
         if !matches!(self.status, 200 | 400 | 413 | 415 | 422 | 500 | 501) {
             return None;
         }
+        if plain.contains("support") && has_word(&plain, "stream") {
+            return Some("write stream = false in the description".to_owned());
+        }
         if TOO_LONG.iter().any(|words| plain.contains(words)) {
             let text = "start the server with a larger context, or take a shorter prompt set (--prompt-set compact)";
             return Some(text.to_owned());
+        }
+        if self.status == 413 {
+            return Some("write a smaller image_size in the description".to_owned());
         }
         if let Some((_, advice)) = ADVICE
             .iter()
@@ -317,6 +323,12 @@ mod tests {
                 400,
                 "This model's maximum context length is 512 tokens. max_tokens is too large",
                 "a larger context",
+            ),
+            (413, "Payload Too Large", "a smaller image_size"),
+            (
+                400,
+                "stream is not supported for this model",
+                "stream = false",
             ),
             (401, "invalid key", "key_env"),
             (400, "the prompt is too long", ""),

@@ -3,7 +3,7 @@
 use super::finish::Ending;
 use super::lenient::{readable, value};
 use super::marks::{bare, settled};
-use super::message::Said;
+use super::message::{Said, is_message};
 use super::thinking::{Found, after_end, answer};
 use super::usage::counts;
 use super::{Listen, Reply, shortened};
@@ -144,7 +144,7 @@ impl Gathered {
             self.first_text.get_or_insert_with(Instant::now);
         }
         // A whole message at the end of a stream repeats its pieces.
-        let repeats = (said.whole || choice.get("delta").is_none())
+        let repeats = is_message(choice)
             && choice.get("done").is_none()
             && !self.content.is_empty()
             && said.text.starts_with(&self.content);
@@ -185,11 +185,16 @@ impl Gathered {
         if self.called && self.content.trim().is_empty() {
             Ending::Tools("tool_calls".to_owned()).reason(&shown)?;
         }
-        let (shown_text, reasoned) = match answer(&self.content) {
+        let (found, reasoned) = match answer(&self.content) {
             Found::Answer(text) | Found::Undecided(text) => (text, text.len() < self.content.len()),
             Found::Thinking => ("", true),
         };
-        let text = after_end(shown_text);
+        // What was passed on stays the answer.
+        let text = if listen.whole {
+            after_end(found)
+        } else {
+            found
+        };
         if text.trim().is_empty() && (reasoned || !self.reasoning.trim().is_empty()) {
             return Err(EndpointFailure::NoAnswer(ALL_REASONING.to_owned()));
         }
@@ -200,7 +205,7 @@ impl Gathered {
         let rest = if listen.whole {
             Some(content.as_str())
         } else {
-            bare(shown_text).get(self.told..)
+            text.get(self.told..)
         };
         if let Some(rest) = rest.filter(|rest| !rest.is_empty()) {
             (listen.on_text)(rest);
@@ -260,12 +265,12 @@ fn unwrapped(part: &Value) -> &Value {
 
 /// The first choice of a completion. Ollama's own interface has its only one beside the counts.
 fn choice_of(part: &Value) -> Option<&Value> {
-    let own = || {
-        Some(part).filter(|part| {
-            part.get("message").is_some_and(Value::is_object) && part.get("done").is_some()
-        })
-    };
-    part.pointer("/choices/0").or_else(own)
+    let is_own = || part.get("message").is_some_and(Value::is_object) && part.get("done").is_some();
+    match part.get("choices") {
+        Some(Value::Array(choices)) => choices.iter().find(|choice| !choice.is_null()),
+        Some(choice @ Value::Object(_)) => Some(choice),
+        _ => is_own().then_some(part),
+    }
 }
 
 /// Whether a choice is an answer and its end, which no error beside it takes away.

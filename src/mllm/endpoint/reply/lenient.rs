@@ -13,7 +13,7 @@ const UNREADABLE: &str = "\\ufffd";
 ///
 /// # Errors
 /// Those of the text as it came.
-pub(super) fn value(text: &str) -> Result<Value, serde_json::Error> {
+pub(in crate::endpoint) fn value(text: &str) -> Result<Value, serde_json::Error> {
     serde_json::from_str(text)
         .or_else(|error| serde_json::from_str(&mended(text)).map_err(|_| error))
 }

@@ -29,8 +29,6 @@ pub(super) struct Said {
     pub(super) refusal: String,
     /// Whether a tool is called.
     pub(super) called: bool,
-    /// Whether the text is that of a message, and no piece of one.
-    pub(super) whole: bool,
 }
 
 /// Members with calls of tools.
@@ -43,7 +41,7 @@ impl Said {
     /// When its content has a form that is nobody's; the text names it.
     pub(super) fn from_choice(choice: &Value) -> Result<Self, String> {
         let mut said = Self::default();
-        let piece = choice.get("delta").filter(|delta| delta.is_object());
+        let piece = choice.get("delta").and_then(message_of);
         let whole = ["message", "messages"]
             .iter()
             .filter_map(|name| choice.get(*name))
@@ -54,7 +52,6 @@ impl Said {
             .or(whole.filter(spoken))
             .or(piece)
             .or(whole);
-        said.whole = message.is_some() && piece != message;
         if let Some(text) = message.and_then(Value::as_str) {
             said.text.push_str(text);
         } else if let Some(message) = message {
@@ -114,6 +111,14 @@ impl Said {
                 .push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
     }
+}
+
+/// Whether a choice has a message so far, and no piece of one.
+pub(super) fn is_message(choice: &Value) -> bool {
+    let piece = choice.get("delta").and_then(message_of);
+    let mut named = ["message", "messages"].iter();
+    !piece.is_some_and(is_spoken)
+        && named.any(|name| choice.get(*name).and_then(message_of).is_some())
 }
 
 /// A message: an object, its text alone, or the last of a list.
@@ -200,6 +205,11 @@ mod tests {
                 json!({"delta": {"role": "assistant", "content": ""}, "message": {"content": "keep left"}}),
             ),
             ("a message that is a text", json!({"message": "keep left"})),
+            ("a piece that is a text", json!({"delta": "keep left"})),
+            (
+                "a piece in a list",
+                json!({"delta": [{"content": "keep left"}]}),
+            ),
             (
                 "a list of messages",
                 json!({"messages": [{"role": "user", "content": "x"}, {"role": "assistant", "content": "keep left"}]}),

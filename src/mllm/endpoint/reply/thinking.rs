@@ -3,8 +3,8 @@
 
 /// Marks around reasoning at the beginning of a content: Qwen, `DeepSeek` and others; variants;
 /// Mistral; Kimi; Seed-OSS; Gemini and EXAONE; tuned models; Command A; `OpenThoughts`; Apertus;
-/// `MedGemma`; Gemma 4; others.
-const MARKS: [(&str, &str); 14] = [
+/// `MedGemma`; Gemma 4; others; Open `WebUI`.
+const MARKS: [(&str, &str); 15] = [
     ("<think>", "</think>"),
     ("<thinking>", "</thinking>"),
     ("[THINK]", "[/THINK]"),
@@ -19,6 +19,7 @@ const MARKS: [(&str, &str); 14] = [
     ("<unused94>", "<unused95>"),
     ("<|channel>thought", "<channel|>"),
     ("<|think|>", "<|/think|>"),
+    ("<details type=\"reasoning\"", "</details>"),
 ];
 /// The channels of gpt-oss: two of reasoning, and the head of the answer.
 const CHANNELS: [(&str, &str); 3] = [

@@ -90,7 +90,7 @@ impl Trouble {
         let kind = ["object", "type"]
             .iter()
             .any(|name| reply.get(name).and_then(Value::as_str) == Some("error"));
-        let names = ["detail", "errors", "message"];
+        let names = ["detail", "errors", "message", "msg"];
         let told = choice.is_none()
             && names
                 .iter()
