@@ -206,13 +206,13 @@ fn what_is_missing_is_named_with_what_to_do() {
         error(&model)
     );
     // Of towers that differ in their weight format alone, llama.cpp's first is chosen.
-    let [one, f16, f32] =
+    let [one, half, single] =
         ["one.gguf", "mmproj-F16.gguf", "mmproj-F32.gguf"].map(|name| folder.path().join(name));
-    fs::rename(&one, &f16).unwrap();
-    fs::rename(folder.path().join("two.gguf"), &f32).unwrap();
+    fs::rename(&one, &half).unwrap();
+    fs::rename(folder.path().join("two.gguf"), &single).unwrap();
     assert!(open(&model).is_ok());
-    fs::rename(&f16, &one).unwrap();
-    fs::remove_file(&f32).unwrap();
+    fs::rename(&half, &one).unwrap();
+    fs::remove_file(&single).unwrap();
     let alone = folder.path().join("tower_alone");
     fs::create_dir(&alone).unwrap();
     fs::copy(&moved, alone.join("mmproj-F16.gguf")).unwrap();

@@ -40,7 +40,7 @@ fn mended(text: &str) -> String {
         };
         mended.push_str(&piece);
         inside ^= first == '"';
-        rest = rest.get(taken..).unwrap_or_default();
+        rest = rest.get(taken..).unwrap_or("");
     }
     mended
 }
@@ -53,7 +53,7 @@ fn between(rest: &str, first: char) -> (Cow<'_, str>, usize) {
     if first == '-' || first.is_ascii_digit() {
         let is_number = |c: char| c.is_ascii_digit() || "+-.eE".contains(c);
         let length = rest.find(|c| !is_number(c)).unwrap_or(rest.len());
-        let number = rest.get(..length).unwrap_or_default();
+        let number = rest.get(..length).unwrap_or("");
         let too_large = number.parse::<f64>().is_ok_and(f64::is_infinite);
         return (if too_large { "null" } else { number }.into(), length);
     }
@@ -68,9 +68,9 @@ fn in_text(rest: &str, first: char) -> (Cow<'_, str>, usize) {
     if first != '\\' {
         return (first.to_string().into(), first.len_utf8());
     }
-    let kept = |length: usize| (rest.get(..length).unwrap_or_default().into(), length);
+    let kept = |length: usize| (rest.get(..length).unwrap_or("").into(), length);
     match rest.as_bytes().get(1) {
-        Some(b'u') => match (unit(rest), unit(rest.get(6..).unwrap_or_default())) {
+        Some(b'u') => match (unit(rest), unit(rest.get(6..).unwrap_or(""))) {
             (Some(0xd800..=0xdbff), Some(0xdc00..=0xdfff)) => kept(12),
             (Some(0xd800..=0xdfff), _) => (UNREADABLE.into(), 6),
             _ => kept(2),
