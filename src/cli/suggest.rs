@@ -13,6 +13,7 @@ use planagent_runs::worker::suite::Suite;
 use planagent_scenario::generator::{GeneratorError, types};
 use planagent_scenario::{DataRoots, ReaderError, Readers};
 use std::error::Error;
+use std::ffi::OsStr;
 use std::path::Path;
 
 /// Similarity from which a name is suggested; clap uses the same for options and commands.
@@ -153,7 +154,7 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
 /// `generated/`, or a type alone.
 fn generated(path: &Path) -> Option<String> {
     let is_type = |word: &str| types::in_suites().any(|kind| kind.to_string() == word);
-    let mut words = path.iter().rev().filter_map(|word| word.to_str());
+    let mut words = path.iter().rev().filter_map(OsStr::to_str);
     let last = words.next()?;
     if is_type(last) {
         return Some(format!("generated/{last}/0"));

@@ -196,16 +196,16 @@ pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
             tower.map_or(Ok(None), |(_, error)| Err(error))
         }
         [tower] => Ok(Some(tower.clone())),
-        several => match best_of_one(several) {
-            Some(best) => Ok(Some(best.to_path_buf())),
-            None => {
-                let hint = format!(
-                    "rename one to {}, or name it under mmproj in the model's description",
-                    named.display()
-                );
-                Err(several_files(folder, "vision towers", several, &hint))
+        several => {
+            if let Some(best) = best_of_one(several) {
+                return Ok(Some(best.to_path_buf()));
             }
-        },
+            let hint = format!(
+                "rename one to {}, or name it under mmproj in the model's description",
+                named.display()
+            );
+            Err(several_files(folder, "vision towers", several, &hint))
+        }
     }
 }
 

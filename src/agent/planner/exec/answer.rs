@@ -206,7 +206,8 @@ fn belonging(wanted: &str) -> &str {
         _ if wanted.starts_with("struct") || wanted == "a map" => {
             "an object with the keys of docs/exec.md"
         }
-        "u64" | "u32" | "u16" | "u8" | "usize" | "i64" | "i32" => "a whole number",
+        "u64" | "u32" | "u16" | "u8" | "usize" => "a whole number from 0 on",
+        "i64" | "i32" => "a whole number",
         _ => wanted,
     }
 }
