@@ -10,6 +10,7 @@ mod plan_builder;
 mod reach;
 mod report;
 mod ride;
+mod road;
 mod rollout;
 mod shift;
 
