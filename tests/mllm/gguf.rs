@@ -236,7 +236,7 @@ fn what_is_missing_is_named_with_what_to_do() {
 
     replace(&tower, "blk.0.ln1.bias", "blk.9.ln1.bias");
     assert!(
-        error(&model).contains("vision_tower.encoder.layers.0.layer_norm1.bias is missing"),
+        error(&model).contains("m.gguf: tensor v.blk.0.ln1.bias is missing"),
         "{}",
         error(&model)
     );
