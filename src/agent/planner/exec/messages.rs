@@ -389,7 +389,7 @@ pub fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, St
     let is_near = |state: &ExecState| state.t.abs() <= MAX_TIME_S;
     if let Some(place) = states.iter().position(|state| !is_near(state)) {
         return Err(format!(
-            "the time of state {place} is not within {MAX_TIME_S} s from now"
+            "the time of state {place} is not within {MAX_TIME_S} s from now; t of a state is in seconds from now"
         ));
     }
     // The clock of the scenario in place of the time from now would hold the ego where it is.
