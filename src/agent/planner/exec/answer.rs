@@ -15,8 +15,9 @@ const MAX_SHOWN: usize = 120;
 /// The values of `type` in an answer.
 const TYPES: [&str; 4] = ["ready", "trajectory", "agents", "error"];
 
-/// The message of a line; else what is wrong with the line, with the text around the place.
-pub(super) fn read(line: &[u8]) -> Result<ExecReply, String> {
+/// The message of a line of a command; else what is wrong with the line, with the text around the
+/// place.
+pub fn read(line: &[u8]) -> Result<ExecReply, String> {
     let line = line
         .strip_prefix(BYTE_ORDER_MARK)
         .unwrap_or(line)

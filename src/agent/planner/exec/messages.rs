@@ -377,7 +377,7 @@ impl ExecObject {
 }
 
 /// The trajectory of a reply, from the ego on; or what is wrong with it.
-pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
+pub fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
     // With the present state before it, a single one would make a trajectory that says neither how
     // fast the ego drives nor where it turns.
     if states.len() < MIN_STATES {
