@@ -65,6 +65,7 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         .iter()
         .map(|(name, value)| (name.clone(), value.to_string()));
     let files = ModelFiles::packed(Path::new("model"), texts.collect());
+    // One match: the fixture names families, and each has a reader of its own.
     match class.family.as_str() {
         "llava" => llava::read_files(&files),
         "llava-next" => llava_next::read_files(&files),

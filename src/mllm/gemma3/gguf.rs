@@ -67,6 +67,8 @@ impl GgufLayout for Gemma3Gguf {
         tower.check_activation("gelu")?;
         let mut files = TextFiles::read(decoder)?;
         let mut vision = tower.vision_config()?;
+        // llama.cpp writes one word for both forms of this activation; transformers' class has the
+        // one by tanh.
         vision["hidden_act"] = json!("gelu_pytorch_tanh");
         let pool = tower
             .count_or_none("clip.vision.projector.scale_factor")?

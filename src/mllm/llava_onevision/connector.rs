@@ -111,6 +111,7 @@ fn resized(rows: &[&[f32]], columns: usize, to: [usize; 2], newline: &[f32]) -> 
     let width = newline.len();
     let (down, across) = (taps(rows.len(), to[0]), taps(columns, to[1]));
     let mut out = Vec::with_capacity(to[0] * (to[1] + 1) * width);
+    // Rows are borrowed from the grid of tiles, so the map is never joined before it shrinks.
     let cell = |row: usize, column: usize| {
         rows.get(row)
             .and_then(|row| row.get(column * width..(column + 1) * width))

@@ -69,6 +69,7 @@ impl PatchEncoder for ImageEncoder {
             .patch_embedding
             .forward(&unfold(pixels, self.patch_size)?)?;
         let places = (0..rows * columns).map(|patch| [patch / columns, patch % columns]);
+        // One part: unlike those of Qwen2.5-VL, all layers attend to the whole image.
         let parts = [Part {
             tokens: rows * columns,
             rotary: Some(RotaryRows::of_patches(places, self.head, ROTARY_BASE)),
