@@ -134,7 +134,7 @@ pub fn rewards(
     }
     let groups: Vec<Vec<usize>> = groups.into_values().collect();
     let judged = groups.par_iter().map(|indices| {
-        let first = indices.first().copied().unwrap_or_default();
+        let first = *indices.first().expect("a group holds an index");
         let state = questions[first].0.open().map_err(|source| RewardError {
             index: first,
             source,

@@ -85,7 +85,7 @@ impl MapPacker {
         // A row of the packed map ends with its newline.
         let rows: Vec<&[f32]> = map
             .chunks_exact((size[1] + 1) * width)
-            .map(|row| row.get(..size[1] * width).unwrap_or_default())
+            .map(|row| &row[..size[1] * width])
             .collect();
         let small = resized(&rows, size[1], smaller, &newline);
         let count = smaller[0] * (smaller[1] + 1);
