@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 /// Most marks of a cache, each a copy of the states at most. Beyond them, the one is forgotten
 /// whose loss costs the fewest positions.
-const MAX_MARKS: usize = 4;
+const MAX_MARKS: usize = 8;
 
 /// Most copies of a layer's state in a cache: that of the present, three that are kept by
 /// themselves, and the marks.
