@@ -84,7 +84,7 @@ impl DecoderCache {
             }
         } else if len == self.len && len > 0 {
             self.note_mark(len);
-            self.each_recurrent(|state, marks| state.keep(marks));
+            self.each_recurrent(Recurrent::keep);
         }
     }
 

@@ -18,6 +18,11 @@ pub(super) struct MapPacker {
 /// The map is made smaller where its sides exceed those of the most tiles by this factor.
 const MAX_RATIO: f64 = 1.1;
 
+/// Tokens of an image in one view, which ends with a newline.
+pub(super) fn view_tokens(grids: &TileGrids) -> usize {
+    grids.tile_tokens() + 1
+}
+
 impl MapPacker {
     pub(super) fn take(
         weights: &mut Weights,
@@ -28,11 +33,6 @@ impl MapPacker {
             packer: TilePacker::take(weights, hidden)?,
             max_tiles,
         })
-    }
-
-    /// Tokens of an image in one view, which ends with a newline.
-    pub(super) fn view_tokens(&self, grids: &TileGrids) -> usize {
-        grids.tile_tokens() + 1
     }
 
     /// Tokens of a tiling: the whole image, then each row of its map with a newline.
