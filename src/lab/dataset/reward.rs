@@ -140,9 +140,9 @@ pub fn rewards(
             source,
         })?;
         let answers: Vec<&str> = indices.iter().map(|&i| questions[i].1.as_str()).collect();
-        Ok((indices, at_state(&state, &answers, kind)))
+        Ok::<_, RewardError>((indices, at_state(&state, &answers, kind)))
     });
-    let judged: Vec<Result<(&Vec<usize>, Vec<Reward>), RewardError>> = judged.collect();
+    let judged: Vec<_> = judged.collect();
     let mut rewards: Vec<Option<Reward>> = vec![None; questions.len()];
     for of_group in judged {
         let (indices, of_state) = of_group?;
