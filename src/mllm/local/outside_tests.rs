@@ -264,7 +264,10 @@ fn greedy_tokens_of_real_models_are_those_of_transformers() {
             let found = greedy(&*exact.model, &mut sequence, &prompt, None, expected.len());
             assert_eq!(found, expected, "{}: {run}", real.name);
         }
-        println!("{}: greedy tokens of 20 prompts are transformers'", real.name);
+        println!(
+            "{}: greedy tokens of 20 prompts are transformers'",
+            real.name
+        );
     }
 }
 
