@@ -64,7 +64,7 @@ pub fn plain_read(numbers: &[u64]) -> u64 {
     let parts = numbers.par_chunks(numbers.len().div_ceil(pieces).max(1));
     let sums = parts.map(|part| {
         let mut sums = [0u64; ADDED];
-        for numbers in part.as_chunks::<ADDED>().0 {
+        for numbers in part.chunks(ADDED) {
             let pairs = sums.iter_mut().zip(numbers);
             pairs.for_each(|(sum, number)| *sum = sum.wrapping_add(*number));
         }
