@@ -29,13 +29,13 @@ use std::sync::Arc;
 pub use blocks::widen;
 pub use line::{CacheLine, LANES};
 use packed_tiles::PackedTiles;
-#[doc(hidden)]
-pub use probe::byte_operations;
+pub(crate) use probe::byte_operations;
 use product::Columns;
 pub use simd::{Instructions, Kernel, Simd};
 pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
+use super::Work;
 use super::values::{PIECE, with_values};
 
 /// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of
@@ -250,6 +250,7 @@ impl Matrix {
                 )
             }
         };
+        Work::count(tokens, self.inputs, self.outputs, self.bytes());
         let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
         // The sums start at the residual, so that adding it takes no pass over the result of its
         // own.
