@@ -95,7 +95,7 @@ impl PlanAgent {
             Some(Judge::new(
                 scene,
                 graph,
-                settings.reflection.horizon_s,
+                (settings.reflection.ride, settings.reflection.horizon_s),
                 &mut state.memory,
             )?)
         } else {

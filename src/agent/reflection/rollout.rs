@@ -212,6 +212,14 @@ impl IdmPlan {
         self
     }
 
+    /// The same without the stop before what the ego may pass.
+    pub(super) fn without_stop_point(self) -> Self {
+        Self {
+            stop_point: None,
+            ..self
+        }
+    }
+
     /// The same over the oncoming lane, past what another plan has begun to pass.
     pub(super) fn completing(mut self, lane: &OncomingLane) -> Self {
         (self.oncoming, self.stop_point) = (Some(Box::new(lane.clone())), None);
