@@ -62,6 +62,7 @@ pub(super) fn next_steps(
         format!("planagent report {} --open", here.word(run)),
         "the page: replays, metrics and transcripts",
     ));
+    // Only a simulation with planning calls has a transcript.
     let asked = completed().find(|row| row.planning_calls > 0);
     let width = usize::from(columns).saturating_sub(INDENT.len());
     if let Some(transcript) = asked.and_then(|row| transcript(run, row.number, here, width)) {

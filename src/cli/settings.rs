@@ -157,6 +157,8 @@ impl Settings {
             return Ok(());
         };
         for word in &flags.checkpoint {
+            // A file name may have an `=` of its own, so only a learned planner's name counts
+            // before one.
             let named = word
                 .split_once('=')
                 .filter(|(planner, _)| is_learned(planner));

@@ -23,6 +23,7 @@ const MAX_PROPOSALS: usize = 4;
 
 /// The controls.
 pub fn entries() -> impl Iterator<Item = PlannerEntry> {
+    // One list, a row a control: a new one needs nothing else.
     [
         control(
             "random-code",

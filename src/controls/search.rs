@@ -276,6 +276,8 @@ impl Present<'_> {
             .windows(2)
             .map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle))
             .sum();
+        // The speed at the end counts as progress: else a late braking maneuver would equal a plan
+        // that drives on.
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (samples.len() as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;

@@ -187,6 +187,7 @@ impl Kernel for GegluKernel<'_> {
 /// 0.5 x (1 + tanh(u)) = x σ(2u), u = √(2/π) (x + 0.044715 x³).
 #[inline(always)]
 fn gelu_tanh(x: f32) -> f32 {
+    /// 2 √(2/π): the argument of σ is 2u.
     const TWO_SQRT_2_PI: f32 =
         2.0 * std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
     x * sigmoid(TWO_SQRT_2_PI * x * (1.0 + 0.044_715 * x * x))
@@ -216,6 +217,7 @@ fn exp(x: f32) -> f32 {
     /// ln 2 in two parts (Cody and Waite): products of the first part with small integers are
     /// exact.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+    /// 1/k! for k from 7 down to 0.
     const SERIES: [f32; 8] = [
         1.0 / 5040.0,
         1.0 / 720.0,
@@ -229,6 +231,7 @@ fn exp(x: f32) -> f32 {
     /// 1.5 · 2²³: a sum with it is rounded to a whole number, which its lowest bits hold.
     /// `round_ties_even` and a conversion, which saturates, take three times as long.
     const ROUND: f32 = 12_582_912.0;
+    /// IEEE 754's f32: the bias of its exponent, and the bits of its mantissa.
     const EXPONENT_BIAS: u32 = 127;
     const MANTISSA_BITS: u32 = 23;
     let x = x.clamp(-87.0, 87.0);
@@ -247,6 +250,7 @@ fn exp(x: f32) -> f32 {
 /// digits where it vanishes.
 #[inline(always)]
 fn gelu(x: f32) -> f32 {
+    /// The coefficients of `erfcc`, the highest power of t first.
     const FIT: [f32; 10] = [
         0.170_872_77,
         -0.822_152_2,

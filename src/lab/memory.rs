@@ -148,6 +148,7 @@ pub fn fill_decisions(
             }
         };
         let drive = Drive::new(&outcome.calls, collision(&outcome.log));
+        // Each lesson has draws of its own, and they are the same in every run.
         let seed = parts.settings.seed ^ items.len() as u64;
         match lesson_items(&record.scenario, &drive, &asked, max_tokens, seed)? {
             Ok(left) => items.extend(left),

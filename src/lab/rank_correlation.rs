@@ -52,6 +52,7 @@ pub(crate) fn rank_correlation(
         return None;
     }
     let tau_of = |drawn: &[usize]| {
+        // Sums rank as means do, since all planners have the same scenes.
         let mean = |own: &Vec<f64>| {
             drawn
                 .iter()

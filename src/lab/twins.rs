@@ -168,6 +168,7 @@ pub fn judge(name: &PairName, parts: &AgentParts) -> Result<PairRecord, TwinErro
         scenes,
     };
     let mut parts = parts.clone();
+    // After a refusal the agent would ask again, and the test is about its first code.
     parts.settings.reflection.enabled = false;
     let view = BevView::new(
         BevView::default().pixels(),

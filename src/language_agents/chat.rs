@@ -103,6 +103,7 @@ impl<'a> Chat<'a> {
                 self.rounds.push(round_record(round, prompt, answer));
                 Ok(Some(text))
             }
+            // An interruption is recorded and no failure: the planner then keeps its active plan.
             Err(error) if error.is_transient() => {
                 self.interruption = Some(error.into());
                 Ok(None)

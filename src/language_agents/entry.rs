@@ -72,6 +72,7 @@ const AGENT_DRIVER: Parts<AgentDriver> = Parts {
 
 /// The planners of this crate: the agents, and each with an oracle in its model's place.
 pub fn entries() -> impl Iterator<Item = PlannerEntry> {
+    // One list, a row a planner: an oracle is its agent with a search in the model's place.
     [
         asking(
             gpt_driver::NAME,

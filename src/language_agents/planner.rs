@@ -198,6 +198,7 @@ impl<A: LanguageAgent> LanguagePlanner<A> {
                 self.keep_or_brake(NoPlan::Unreadable(why))
             }
         };
+        // The active plan must still reach as far ahead as a new one would.
         if decision.attempt().is_none() && self.has_plan {
             self.agent.go_on(seen)?;
         }

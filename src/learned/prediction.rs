@@ -41,6 +41,7 @@ pub fn trajectory(
         .collect();
     let motion = motion(&plan, &times, scene)?;
     let mut states = vec![TrajectoryState {
+        // The networks predict poses and no steering, so upstream's states have none.
         steering_angle: 0.0,
         ..TrajectoryState::from(ego)
     }];
@@ -90,6 +91,7 @@ fn motion(
         .zip(headings)
         .map(|(pose, heading)| [pose.x, pose.y, heading])
         .collect();
+    // The filter needs equal intervals, so the plan is sampled at those of the history.
     let count = (end / step).ceil().max(1.0) as usize - 1;
     for i in 1..=count {
         let at = i as f64 * step;

@@ -130,6 +130,8 @@ impl EndpointSettings {
     pub(crate) fn of_address(word: &str) -> Option<Self> {
         let (address, model) = word.split_once('#').unwrap_or((word, ""));
         let is_network = scheme(address).is_some();
+        // Without a scheme only a host of this machine with a port is an address; other words are
+        // names of models.
         let has_port = || {
             authority(address)
                 .rsplit_once(':')
@@ -184,6 +186,7 @@ impl EndpointSettings {
 
     /// The address of chat completions. The description may name it, or what comes before.
     pub(crate) fn url(&self) -> Result<String, String> {
+        // A key in an address would end up in records and error messages.
         if self.endpoint.contains(['@', '?', '#']) {
             return Err("endpoint must be a plain address; key_env names the environment variable of the key".into());
         }

@@ -59,6 +59,7 @@ impl Families {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;
+        // `model_type` first, because a class in `architectures` may serve several families.
         let (key, found) = if let Some(name) = root.value("model_type")? {
             ("model_type", Some(name))
         } else {

@@ -56,6 +56,7 @@ impl Sampler {
         banned: u32,
         position: usize,
     ) -> Result<u32, MllmError> {
+        // NaN compares with nothing: a broken model would seem to choose a token.
         if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
             return Err(MllmError::NonFiniteLogits {
                 position,

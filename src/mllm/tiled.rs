@@ -113,6 +113,7 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
             tile_tokens,
             image_text,
         } = family;
+        // Before the takes, which tell the number of parameters by what they add.
         let before = weights.elements();
         let encoder = encoder(weights)?;
         let decoder = Decoder::take(weights, text, "language_model.")?;

@@ -110,6 +110,7 @@ impl fmt::Display for MissingTokens {
 }
 
 fn first_few<T>(list: &[T], word: impl Fn(&T) -> String) -> String {
+    /// Entries that a message names.
     const MAX_NAMED: usize = 5;
     let more = if list.len() > MAX_NAMED { ", ..." } else { "" };
     list.iter()

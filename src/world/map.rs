@@ -280,6 +280,8 @@ impl LaneMap {
             .flat_map(|b| (0..b.areas.len()).map(move |i| (b.id, i)))
             .collect();
         let areas = |polygons: &[Polygon]| SpatialIndex::new(polygons.iter().map(Polygon::bounds));
+        // The indices hold places in `parts`, so `parts` moves in last and is not changed
+        // afterwards.
         Ok(Self {
             by_source,
             lane_index: SpatialIndex::new(parts.lanes.iter().map(|lane| lane.polygon.bounds())),

@@ -188,6 +188,7 @@ impl MapBuilder {
                 self.parts.lanes[lane.index()].roadblock = RoadblockId(i as u32);
             }
         }
+        // A second pass, because links of a roadblock need the roadblock of every lane.
         for (i, lanes) in self.groups.into_iter().enumerate() {
             let members = || lanes.iter().map(|lane| &self.parts.lanes[lane.index()]);
             let blocks = |edges: fn(&Lane) -> &[LaneId]| {

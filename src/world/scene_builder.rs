@@ -345,6 +345,7 @@ impl SceneBuilder {
 fn map_of(drawn: &[Drawn], lights: &[(usize, SignalStatus)]) -> Result<LaneMap, SceneError> {
     let mut map = MapBuilder::default();
     let mut abreast: Vec<LaneId> = vec![];
+    // Every lane is added, in order, so a lane's id is its place in `drawn`; lights rely on that.
     for (number, lane) in drawn.iter().enumerate() {
         let points = lane.points.iter().copied();
         let added = if lane.connector {

@@ -128,6 +128,7 @@ impl Trajectory {
         }
         let after = self.states.partition_point(|s| s.time_us < time_us);
         let b = &self.states[after];
+        // A planned state is returned bit for bit; interpolation would round it.
         if b.time_us == time_us {
             return Ok(*b);
         }

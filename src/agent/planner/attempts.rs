@@ -101,6 +101,8 @@ impl<P> Attempts<P> {
                 break;
             };
             attempts.interruption = trace.interruption.take();
+            // An interruption after a round still leaves an attempt to record; before it there is
+            // nothing.
             if trace.rounds.is_empty() && attempts.interruption.is_some() {
                 break;
             }
@@ -282,6 +284,7 @@ fn tried<A: Into<PlannerAnswer>, P>(
         parsed,
         ..
     } = trace;
+    // The record keeps an answer that cannot be built into a plan: a reader wants to see it.
     let (answer, errors) = (parsed.answer.map(A::into), parsed.errors);
     Tried {
         record: Attempt {

@@ -49,6 +49,7 @@ impl Question for CodeQuestion<'_> {
             .is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
         let stays_behind =
             !changes_lane && plan.oncoming().is_none() && graph.stop_point().is_some();
+        // Staying behind what blocks the lane is as much of a decision as leaving it.
         let threshold = if stays_behind || (changes_lane && !is_towards_goal) {
             lane_kept.max(lane_changed)
         } else {

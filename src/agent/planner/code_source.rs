@@ -121,6 +121,8 @@ impl CodeSource {
         }: CodesAsked,
         history: &'a mut AnswerHistory,
     ) -> Result<Codes<'a>, ReasoningError> {
+        // One match: an arm is a source. Only a model needs the prompt, the deadline and the
+        // history.
         Ok(match self {
             Self::Model {
                 model,

@@ -56,6 +56,7 @@ impl Planner for PdmClosedPlus {
                 ReferencePath::find(scene.map, scene.route, scene.ego).map_err(PdmError::from)?,
             ),
         };
+        // Off the road there are no further lanes, and this is plain PDM-Closed.
         let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else {
             return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
         };

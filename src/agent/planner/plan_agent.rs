@@ -121,6 +121,7 @@ impl PlanAgent {
         if tries_further && attempts.are_refused() {
             attempts.try_further(&mut question, further_codes(graph))?;
         }
+        // Judged only where all attempts are refused: else the active plan ends anyway.
         let active = match (&judge, state.active_plan()) {
             (Some(judge), Some(active))
                 if attempts.accepted().is_none()

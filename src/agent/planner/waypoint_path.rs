@@ -44,6 +44,7 @@ pub fn through_waypoints(
     for step in 1..=ALL_STEPS {
         let (place, velocity) = spline.at(step);
         let mut along = velocity.norm();
+        // The direction of a velocity near zero is noise, so the heading stays.
         if along > STANDSTILL {
             let towards = wrap_angle(from.heading + velocity.y.atan2(velocity.x));
             let reverses = wrap_angle(towards - heading).abs() > FRAC_PI_2;

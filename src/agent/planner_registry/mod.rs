@@ -250,6 +250,7 @@ impl Default for PlannerRegistry {
             })
         };
         let name = PlannerName::new;
+        // One list, a row a planner, in the order in which the program shows them.
         Self {
             entries: vec![
                 PlannerEntry::new(

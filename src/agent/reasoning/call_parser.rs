@@ -140,6 +140,8 @@ impl<'a> Call<'a> {
                 ),
                 value => ((place < signature.parameters.len()).then_some(place), value),
             };
+            // A wrong argument does not end the reading: the model should hear of all faults at
+            // once.
             match (slot, value) {
                 (Some(slot), [Spanned { token, span }]) if self.arguments[slot].is_none() => {
                     self.arguments[slot] = Some(Argument {

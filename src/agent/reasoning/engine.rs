@@ -197,6 +197,7 @@ impl<'a> Reasoning<'a> {
         let conversation = model
             .converse(&prefix, seed)
             .map_err(|error| fitting.failed(error, [system.as_str()]))?;
+        // System prompt and image are computed once a call; attempts go back to this mark.
         let start = conversation.mark();
         Ok(Self {
             model,

@@ -37,6 +37,7 @@ pub(super) fn text(text: impl AsRef<str>) -> Constraint {
 
 /// The grammar of round 1.
 pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
+    // One match: an arm is a form of docs/prompts.md, and the parser reads what it allows.
     match form {
         UnderstandingForm::Free => Constraint::Free,
         UnderstandingForm::Choices | UnderstandingForm::Choices2 => {

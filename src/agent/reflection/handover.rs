@@ -1,7 +1,8 @@
 //! PDM-Closed's proposals beside the versions of a plan, judged by the same score.
 
 use super::judge::{ReflectionError, observe_along, score_versions};
-use super::rollout::{IdmPlan, Rollout, Version};
+use super::rollout::{IdmPlan, Rollout};
+use super::version::Version;
 use planagent_score::pdm::{
     PdmMemory, ProposalScore, TRAJECTORY_STEPS, score_proposals, simulate_proposals,
 };
@@ -66,6 +67,7 @@ pub(super) fn better_proposal(
         .map(|own| relative(own).total)
         .fold(0.0, f64::max)
         + MIN_GAIN;
+    // Reversed, because `max_by` takes the last of equals and the first should win.
     let scores = scores.iter().map(relative).enumerate().rev();
     let best = scores.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total));
     let Some((index, score)) = best.filter(|(_, score)| score.total > needed) else {

@@ -4,7 +4,8 @@ use super::overtake::OvertakeRules;
 use super::reach::{Compared, MIN_REACH, Reach, is_compared};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::ride::Ride;
-use super::rollout::{IdmPlan, Rollout, Version};
+use super::rollout::{IdmPlan, Rollout};
+use super::version::Version;
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
@@ -140,6 +141,8 @@ impl<'a> Judge<'a> {
                 Ride::Idm => Self::along(scene, reference_path, horizon_s, collided)?,
                 Ride::Comfortable => Self::beside(&compared, reference_path, collided)?,
             };
+            // Elsewhere what lies beyond the horizon decides nothing, and these roll-outs take
+            // time.
             if is_compared(graph, judge.rivals.progress_m) {
                 judge.compare_with_lanes(&compared)?;
             }
@@ -179,6 +182,7 @@ impl<'a> Judge<'a> {
         let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
+        // The proposals borrow the instant, which moves into the judge.
         drop(proposals);
         let reaches = scores
             .iter()

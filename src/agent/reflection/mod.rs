@@ -12,6 +12,7 @@ mod report;
 mod ride;
 mod rollout;
 mod shift;
+mod version;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
@@ -20,4 +21,5 @@ pub(crate) use overtake::allowed_overtake;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use ride::Ride;
-pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};
+pub use rollout::{IdmPlan, LeadPolicy, Rollout};
+pub use version::Version;

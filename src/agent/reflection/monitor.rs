@@ -2,7 +2,8 @@
 
 use super::handover::{Handover, better_proposal};
 use super::judge::{ReflectionError, observe, score_versions};
-use super::rollout::{IdmPlan, Version};
+use super::rollout::IdmPlan;
+use super::version::Version;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
     PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,
@@ -158,6 +159,7 @@ impl PlanMonitor {
                     simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed),
                 )
             })
+            // All versions are scored in one batch, since progress is relative to the best of them.
             .unzip();
         let scores = score_versions(
             scene,
@@ -187,6 +189,7 @@ impl PlanMonitor {
         let is_refused = |score: &ProposalScore| overtakes && score.driving_direction <= 0.0;
         let best = |among: fn(Version) -> bool| {
             let among = scored.iter().filter(|&&(version, _)| among(version));
+            // Reversed, because `max_by` takes the last of equals and the first should win.
             among
                 .rev()
                 .max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))

@@ -3,7 +3,8 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::ride::Ride;
-use super::rollout::{IdmPlan, LeadPolicy, Rollout, Version};
+use super::rollout::{IdmPlan, LeadPolicy, Rollout};
+use super::version::Version;
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene, score_proposals};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
@@ -87,6 +88,8 @@ pub(super) struct Compared<'a, 'g> {
 }
 
 impl Compared<'_, '_> {
+    /// The most that a plan could do: at the limit, behind the nearest agent, with the whole
+    /// acceleration.
     fn at_limit(&self, lane: CenterlineName) -> Result<Option<IdmPlan>, ReflectionError> {
         let builder = PlanBuilder {
             lead_policy: LeadPolicy::Nearest,

@@ -4,10 +4,11 @@ use super::path::onto_centerline;
 use super::plan_builder::PlanBuilder;
 use super::ride::{Bends, Ride, Smoothed};
 use super::shift::shift;
+use super::version::Version;
 use crate::environment::lane_graph::OncomingLane;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
-use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
+use planagent_score::pdm::LATERAL_OFFSETS;
 use planagent_world::dynamics::{IdmParameters, Lead};
 use planagent_world::geometry::{
     Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector,
@@ -72,64 +73,6 @@ pub struct IdmPlan {
     settled: Point,
     /// The speed that bends allow along the paths.
     bends: Bends,
-}
-
-/// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
-/// PDM-Closed's proposals, or a hard stop. The first is the plan itself.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Version {
-    /// Index of its path in [`LATERAL_OFFSETS`].
-    path: usize,
-    /// Its share of the desired speed.
-    fraction: f64,
-    /// Whether it comes to that speed as fast as the code allows, whatever the ride.
-    is_brisk: bool,
-}
-
-impl Version {
-    /// The plan itself.
-    pub const PLAN: Self = Self {
-        path: 0,
-        fraction: 1.0,
-        is_brisk: false,
-    };
-    /// A stop on the plan's own path, at the highest deceleration that a code may contain.
-    pub const STOP: Self = Self {
-        path: 0,
-        fraction: 0.0,
-        is_brisk: true,
-    };
-
-    /// The versions along a path, the fastest first. On the plan's own path, those that slow down
-    /// gently come before those that brake; to the side the ego evades something.
-    fn along(path: usize, ride: Ride) -> Vec<Self> {
-        let fractions = || SPEED_FRACTIONS.into_iter().rev();
-        let version = |is_brisk| {
-            move |fraction| Self {
-                path,
-                fraction,
-                is_brisk,
-            }
-        };
-        let slower = fractions().skip(1);
-        match (ride, path) {
-            (Ride::Idm, _) => fractions().map(version(false)).collect(),
-            (Ride::Comfortable, 0) => fractions()
-                .map(version(false))
-                .chain(slower.map(version(true)))
-                .collect(),
-            (Ride::Comfortable, _) => fractions()
-                .take(1)
-                .map(version(false))
-                .chain(slower.map(version(true)))
-                .collect(),
-        }
-    }
-
-    /// Whether it moves along the path of the plan itself.
-    pub fn is_on_own_path(self) -> bool {
-        self.path == 0 && self != Self::STOP
-    }
 }
 
 /// A roll-out: poses of the rear axle with speeds, every 0.1 s, the present one first.
@@ -356,6 +299,7 @@ impl IdmPlan {
                 let at_most = self.bends.acceleration(progress, speed);
                 idm.acceleration(speed, behind).min(at_most)
             };
+            // Explicit Euler with the old speed, as in PDM-Closed's own roll-outs.
             progress += STEP_S * speed;
             speed = (speed + STEP_S * accel).max(0.0);
             rollout.poses.push(path.smooth_pose_at(progress));

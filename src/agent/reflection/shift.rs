@@ -182,6 +182,7 @@ fn is_needed(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64
         .iter()
         .map(|edge| edge.to_s)
         .fold(f64::NEG_INFINITY, f64::max);
+    // Beside the objects there is no way back into the lane.
     if first <= front {
         return false;
     }

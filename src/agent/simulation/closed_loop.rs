@@ -79,6 +79,7 @@ impl<'a> ClosedLoop<'a> {
             ego: first.ego,
             objects: agents.objects(first),
         };
+        // The planner's history ends with the present, as nuPlan's buffer does.
         history.push(present.clone());
         Ok(Self {
             scenario,
@@ -217,6 +218,7 @@ impl<'a> ClosedLoop<'a> {
                 iteration: self.iteration,
             });
         }
+        // The agents see the ego where it was, and not where it has just moved, as in nuPlan.
         let stepped = self
             .agents
             .step(&self.present.ego, next, dt_us as f64 / MICROS_PER_SECOND);

@@ -134,6 +134,7 @@ pub fn simulate_prepared(
         let started = Instant::now();
         let trajectory = simulation.plan(planner)?;
         log.runtimes_s.push(started.elapsed().as_secs_f64());
+        // Before the step: a sample is what the planner saw when it planned this trajectory.
         log.samples.push(simulation.present().clone());
         simulation.advance(&trajectory, &name)?;
         log.trajectories.push(trajectory);

@@ -100,6 +100,7 @@ pub(crate) struct QuantizeArguments {
 impl ModelsCommand {
     /// What the options about models say.
     pub(super) fn flags(&self) -> ModelFlags {
+        // One match: an arm is a subcommand, and passes on the options that it has.
         match self {
             Self::List { .. } | Self::Families { .. } => ModelFlags::default(),
             Self::Show { adapter, .. } => ModelFlags {

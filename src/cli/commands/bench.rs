@@ -414,6 +414,7 @@ fn metadata(
             ))
         })
         .collect::<anyhow::Result<_>>()?;
+    // All that changes a time is written down, so that a bench can be repeated.
     let settings = json!({
         "models": models,
         "warm_up": flags.warm_up,

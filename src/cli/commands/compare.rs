@@ -11,6 +11,7 @@ pub(crate) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<
     let [first, second] = [&flags.first, &flags.second];
     let manifests = [RunFolder::manifest(first)?, RunFolder::manifest(second)?];
     let rows = [completed(first, printer)?, completed(second, printer)?];
+    // clap takes any number of values between commas, so the count is checked here.
     let named = match flags.planner.as_slice() {
         [] => None,
         [first, second] => Some(PlannerPair {

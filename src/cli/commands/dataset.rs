@@ -152,6 +152,7 @@ fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> any
             },
         )
     };
+    // Scenarios that a user lists are not split: which of them validate is the user's choice.
     let splits = if listed.is_empty() {
         vec![
             (generated(Split::Train), flags.states),

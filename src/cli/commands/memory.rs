@@ -28,6 +28,7 @@ pub(crate) fn run(
     if flags.out.is_dir() {
         bail!("--out {} is a folder; name a file", flags.out.display());
     }
+    // Before the drives, whose minutes would be lost if the file could not be written.
     if let Some(folder) = flags.out.parent().filter(|folder| folder.is_dir()) {
         check_writable(folder)?;
     }

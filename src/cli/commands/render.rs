@@ -31,6 +31,8 @@ pub(crate) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<E
     let is_file = output.is_file()?;
     let (run, simulation) = run_and_simulation(flags, printer)?;
     let rows = chosen(flags, &run, simulation, printer);
+    // A word that is no folder was taken for a simulation of the last run; the error names both
+    // readings.
     let rows = match (&flags.run, &flags.simulation) {
         (Some(word), None) if simulation.is_some() => {
             rows.with_context(|| format!("there is no folder {word}"))?
@@ -94,6 +96,7 @@ fn chosen(
     printer: Printer,
 ) -> anyhow::Result<Vec<SimulationRow>> {
     let mut rows = completed(run, printer)?;
+    // Before any filter, so that the error can say what the run has.
     let known: BTreeSet<String> = rows
         .iter()
         .map(|row| format!("{} in {}", row.planner, row.challenge))
@@ -174,6 +177,8 @@ fn write(
 ) -> anyhow::Result<()> {
     let rate = flags.fps.and_then(NonZeroU32::new).unwrap_or(DEFAULT_RATE);
     let shown = output.path();
+    // The file that a link leads to is replaced, and not the link; the user still reads the own
+    // words.
     let output = output.behind_links()?;
     let choice = SimulationChoice {
         simulation: row.number.to_string(),

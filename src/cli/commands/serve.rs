@@ -49,6 +49,7 @@ pub(crate) fn run(flags: &ServeArguments, printer: Printer) -> anyhow::Result<Ex
     let stopper = server.stopper();
     thread::scope(|scope| {
         scope.spawn(move || server.run());
+        // A signal handler may do no more than set a flag, so this thread looks at it.
         while !ended.load(Ordering::Relaxed) {
             thread::sleep(PAUSE);
         }

@@ -102,6 +102,7 @@ fn tell_calls(folder: &Path, rows: &[SimulationRow], printer: Printer) -> bool {
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let calls = count(|row| row.planning_calls);
     let gated = count(|row| row.gated_calls);
+    // Gated calls are not among the planning calls, so both make up the total.
     if gated > 0 {
         printer.note(format!(
             "the gate skipped {gated} of {} planning calls",

@@ -108,6 +108,7 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
         }
         printer.note(format!("results in {}", folder.display()));
     }
+    // What failed comes last, where a person at a terminal looks first.
     for line in failures(&outcome.failed) {
         printer.failure(format!("failed: {line}"));
     }

@@ -55,6 +55,8 @@ impl PackedKeyValues {
             values: Vec::new(),
         };
         let (key_vectors, value_vectors) = (held.key_vectors(), held.value_vectors());
+        // Keys lie feature by feature, so that one vector scores sixteen keys at once. Values lie
+        // key by key, as their weighted sum reads them.
         held.keys = vec![[0.0; LANES]; batch * heads * width * key_vectors];
         held.values = vec![[0.0; LANES]; batch * heads * count * value_vectors];
         with_values(keys, |keys| {

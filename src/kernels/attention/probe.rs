@@ -35,6 +35,8 @@ impl AttentionProbe {
                 Precision::Single
             },
         );
+        // The cache is filled as in decoding, so that the benchmark reads the layout that models
+        // read.
         Projected::read(all, shape, None, |rows| cached.write(rows, 0))?;
         let start = all.dim(0)? - tokens;
         let mask = AttentionMask::Causal {

@@ -65,6 +65,8 @@ impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
             partial,
         } = self;
         let shape = unit.rows.shape();
+        // The number type is known at compile time, so f32 blocks keep none of the code that
+        // widens.
         let widen = partial.max_score.len() >= MIN_WIDENED_ROWS && !N::IS_F32;
         let (mut keys, mut values) = (Vec::new(), Vec::new());
         for index in
@@ -182,6 +184,8 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
         let rows = queries[row * shape.width..(row + R) * shape.width]
             .as_chunks::<R>()
             .0;
+        // A block is scored as a whole, even where rows see part of it: its vectors take the same
+        // time. `weigh` leaves out what is not seen.
         let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
         let mut column = 0;
         while column < KEY_VECTORS {
@@ -362,6 +366,8 @@ fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     out: &mut [[f32; LANES]],
 ) -> usize {
     let vectors = out.len() / R;
+    // Old sums are rescaled as they are loaded; a pass of its own would read and write all of them
+    // again.
     let mut sums = [[simd.floats(0.0); C]; R];
     for r in 0..R {
         for c in 0..C {

@@ -9,6 +9,8 @@ pub fn widen(format: GgmlDType, bytes: Vec<u8>) -> Result<Vec<f32>> {
     if !bytes.len().is_multiple_of(format.type_size()) {
         bail!("{} bytes are no whole blocks of {format:?}", bytes.len());
     }
+    // candle casts bytes in place, which needs aligned memory. Plain numbers are converted one by
+    // one and need none.
     Ok(match format {
         GgmlDType::F32 => bytes
             .as_chunks::<4>()

@@ -235,6 +235,8 @@ impl Matrix {
             }
         };
         let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
+        // The sums start at the residual, so that adding it takes no pass over the result of its
+        // own.
         let mut result = match residual {
             Some(residual) => read(residual, &[tokens, self.outputs])?,
             None => vec![0.0; tokens * self.outputs],

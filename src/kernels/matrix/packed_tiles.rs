@@ -10,6 +10,7 @@ use super::weight_format::WeightFormat;
 use rayon::prelude::*;
 use std::io::{self, Write};
 
+/// Bytes of a cache line, the unit in which tiles are stored.
 const LINE: usize = size_of::<CacheLine>();
 
 /// The byte order of a group.
@@ -241,6 +242,8 @@ impl PackedTiles {
         let rows = bytes.par_chunks(row_bytes * LANES);
         tiles
             .lines
+            // Threads share tiles and not rows: the rows of a tile lie interleaved in the same
+            // cache lines.
             .par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines)
             .zip(rows)
             .for_each(|(tile, rows)| {

@@ -137,6 +137,8 @@ fn multiply_as<F: Format>(
     let row_words = F::row_words(inputs);
     let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
     let threads = rayon::current_num_threads();
+    // The outer loop is over activations that fit the cache: weights are streamed from memory once
+    // a chunk.
     for (index, rows) in x.chunks(chunk * inputs).enumerate() {
         let count = rows.len() / inputs;
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= MIN_PARALLEL_PRODUCTS;

@@ -61,6 +61,7 @@ impl Agreement {
                 squares += apart * apart;
             }
             count += ours.len();
+            // Up to the first difference: from there on, both engines continue other texts.
             let same = our_tokens
                 .iter()
                 .zip(their_tokens)

@@ -292,6 +292,7 @@ impl Bench<'_> {
             ..
         } = *self.settings;
         let mut rows = Vec::new();
+        // In turns, so that a machine that slows down slows all engines.
         for iteration in 0..warm_up + iterations {
             for Ready { engine, loaded } in engines.iter_mut() {
                 let steps = workload.steps(loaded.layout, loaded.image_tokens);

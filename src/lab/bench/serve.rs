@@ -135,6 +135,7 @@ fn load(
     registry: &ModelRegistry,
     request: &LoadRequest,
 ) -> Result<(Loaded, LatencyProbe), MllmError> {
+    // Finding the files counts as loading, as it does for a user.
     let start = Instant::now();
     let registry = registry.clone().with_quantize(request.weight_format);
     let (place, mut loading) = match &request.model {

@@ -298,6 +298,7 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
         }
         CenterlineName::LeftLane | CenterlineName::OncomingLane => Lateral::ChangeLeft,
     };
+    // The first reason that holds: what compels a change stands before what makes it better.
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,

@@ -40,6 +40,8 @@ impl DecisionWeights {
         let in_lane = || accepted().filter(|t| t.code.centerline == lane);
         let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
         let elsewhere = accepted().filter(|t| t.code.centerline != lane);
+        // The decision is whether to slow down: a slower best code is compared with full speed, and
+        // the reverse.
         let at_other_speeds = in_lane().filter(|t| {
             let other = t.code.target_speed;
             if speed < fastest {

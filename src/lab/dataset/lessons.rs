@@ -26,6 +26,7 @@ pub(super) fn lessons<'a>(
     tried: &'a [Candidate],
     after_rejection: bool,
 ) -> Vec<Lesson<'a>> {
+    // The best code counts even where Reflection rejects it, so that each state has a lesson.
     let codes: Vec<&Candidate> = tried
         .iter()
         .filter(|t| t.is_accepted() || t.code == best.code)
@@ -87,6 +88,7 @@ impl<'a> Decision<'a> {
             .filter(|t| option(&t.code) == option(own))
             .copied()
             .collect();
+        // A single option gains nothing over the worst, which is itself.
         if options.len() < 2 {
             return Self {
                 chance: 1.0,

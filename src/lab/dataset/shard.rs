@@ -16,6 +16,7 @@ use std::fs;
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
+/// Version of the files of a dataset; a folder of another version is not continued.
 pub const FORMAT: u32 = 1;
 
 #[derive(Debug, thiserror::Error)]
@@ -136,6 +137,7 @@ pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardErro
         .map(|entry| entry.path())
         .filter(is_of_split)
         .collect();
+    // Folders list files in any order, and training must see the same lines in the same order.
     paths.sort();
     let texts = paths.iter().map(|path| {
         fs::read_to_string(path).map_err(|source| ShardError::Read {

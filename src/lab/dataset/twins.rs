@@ -203,6 +203,8 @@ fn asked(
             None,
         )?);
     }
+    // The grammar allows these names alone, so other names would tell the scenes apart without a
+    // picture.
     let may_name = names.lead_agents.iter().map(ToString::to_string);
     Ok((
         texts,
@@ -349,6 +351,7 @@ pub(super) fn labeled(
         std::slice::from_ref(settings.prompts),
         &settings.view,
     )?;
+    // A pair that does not count is no error: many names draw none.
     let Ok(pair) = opened else { return Ok(None) };
     let state = |one: &TwinScene| -> Result<Option<(LabeledState, RgbImage)>, PromptError> {
         let TwinScene {

@@ -78,6 +78,7 @@ pub(super) fn figures(scenario: &Scenario) -> AgentFigures {
         .iter()
         .map(|frame| Seen::in_frame(frame, &scenario.map))
         .collect();
+    // By token: a vehicle counts once among the sizes, however many instants show it.
     let mut boxes: BTreeMap<TrackToken, OrientedBox> = BTreeMap::new();
     for frame in &frames {
         boxes.extend(near(frame, ObjectKind::Vehicle).map(|object| (object.token, object.shape)));

@@ -72,6 +72,7 @@ pub(super) fn cross_validated(samples: &[Sample]) -> Option<Accuracy> {
     }
     let clusters = right.map(|groups| groups.into_values().collect::<Vec<_>>());
     let share = |set: &[Vec<f64>]| mean(set.iter().flatten().copied());
+    // Balanced: naming the larger set each time must not be right more often than half.
     let PairedDifference {
         mean, low, high, ..
     } = Bootstrap::default().balanced(&clusters)?;

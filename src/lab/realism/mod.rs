@@ -84,6 +84,7 @@ impl SceneComparison {
             .chain(b.iter().map(|scene| sample(scene, false)))
             .collect();
         let classifier = cross_validated(&samples);
+        // Sets that are too small to validate a classifier are too small to read its coefficients.
         let coefficients = classifier.is_some().then(|| fitted(&samples).coefficients);
         let features = FEATURES.iter().enumerate().map(|(place, (feature, _))| {
             let values = |scenes: &[MeasuredScene]| -> Vec<f64> {

@@ -39,6 +39,7 @@ pub(super) fn figures(scenario: &Scenario) -> RoadFigures {
     let near: Vec<&Lane> = near.into_iter().map(|lane| &scenario.map[lane]).collect();
     let (lanes, connectors): (Vec<&Lane>, Vec<&Lane>) =
         near.iter().partition(|lane| lane.kind == LaneKind::Lane);
+    // Area over length is no width where a lane is hardly longer than wide.
     let long: Vec<&&Lane> = lanes
         .iter()
         .filter(|lane| lane.centerline.length() >= MIN_LENGTH)

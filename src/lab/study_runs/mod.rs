@@ -254,6 +254,7 @@ fn simulations(
                 .cloned()
                 .expect("every run of the plan has ended");
             let outcome = Outcome::Simulated {
+                // Relative, so that the results can be moved together with their runs.
                 run: format!("../{RUNS}/{name}"),
                 rows,
             };

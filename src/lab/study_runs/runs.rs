@@ -200,6 +200,8 @@ impl<'a> PlannedRuns<'a> {
                 Vec::new()
             };
             let retries = retry_failed && rows.iter().any(|row| row.error.is_some());
+            // Studies share runs. One that has ended is read, and needs neither its model nor its
+            // scenarios.
             if has_results && rows.len() == plan.numbers.len() && !retries {
                 runs.ended.insert(name, rows);
             } else {

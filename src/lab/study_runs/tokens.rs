@@ -89,6 +89,7 @@ fn counted(
             )
         })
     };
+    // `collect` keeps the order of the scenes, so threads do not show in the table.
     let counts: Vec<_> = suite.sources.par_iter().map(of_source).collect();
     let states = || counts.iter().flatten().flatten();
     let rows: Vec<TokenRow> = states()

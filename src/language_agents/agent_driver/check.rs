@@ -146,6 +146,8 @@ fn moved_away(from: Vector, cells: &[Vector]) -> Vector {
             break;
         }
         let now = cost(place);
+        // Armijo's rule with its usual constant: the bumps are steep, and a whole step may jump
+        // over one.
         let lower = (0..MAX_HALVINGS)
             .map(|halving| place + downhill * 0.5_f64.powi(halving as i32))
             .find(|&next| cost(next) < now - 1e-4 * (next - place).norm() * downhill.norm());

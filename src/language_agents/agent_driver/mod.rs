@@ -186,6 +186,7 @@ impl AgentDriver {
             .and_then(|number| number.checked_sub(1))
             .and_then(|place| candidates.get(place))
         else {
+            // A wrong number costs the experience and not the call: a plan does not need one.
             errors.push(ParseError {
                 span: 0..answer.len(),
                 message: "this is no number of an experience; none is given".to_owned(),
@@ -268,6 +269,8 @@ impl LanguageAgent for AgentDriver {
         };
         let mut reply = read_waypoints(&answer, observation.motion, chat);
         reply.errors.splice(0..0, errors);
+        // Only noted here. `adopt` moves the waypoints, so that the record keeps what the model
+        // wrote.
         if let (Some(waypoints), None) = (&reply.answer, reply.unreadable) {
             let after = checked(waypoints, &observation.facts);
             chat.note_tool(ToolUse {

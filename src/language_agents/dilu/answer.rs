@@ -50,6 +50,7 @@ pub(super) fn read_action(
             ),
         }
     };
+    // The last delimiter, because a model often repeats the instructions before it answers.
     let Some((before, number)) = answer.rsplit_once(DELIMITER) else {
         let error = error(answer.len(), format!("no {DELIMITER} with an action"));
         return Reply::wrong(error, chat.without_line());

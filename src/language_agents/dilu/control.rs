@@ -132,6 +132,7 @@ impl SetPoints {
             let acceleration =
                 ((self.speed() - speed) / SPEED_TIME).clamp(DECELERATION, ACCELERATION);
             let next = (speed + acceleration * STEP_S).max(0.0);
+            // A share of the speed, since a car that hardly moves on cannot move sideways.
             let most = ASIDE_SPEED.min(ASIDE_SHARE * next);
             let aside_speed = (-aside / ASIDE_TIME).clamp(-most, most);
             (s, aside) = (s + next * STEP_S, aside + aside_speed * STEP_S);

@@ -133,6 +133,7 @@ fn around(scene: &SceneView<'_>, lane: LaneId) -> Vec<String> {
     lanes.extend(beside(scene, lane, 1).map(|left| named("the lane to your left", left)));
     lanes.extend(beside(scene, lane, -1).map(|right| named("the lane to your right", right)));
     let mut lines = Vec::new();
+    // Lane by lane: an object on the line between two lanes matters to both and is named on both.
     for lane in &lanes {
         let (mut ahead, mut behind): (Option<(f64, &TrackedObject)>, _) = (None, None);
         for object in scene.objects {

@@ -133,6 +133,7 @@ pub fn lesson_items(
         .rsplit_once(DELIMITER)
         .map_or(text.as_str(), |(lesson, _)| lesson)
         .trim();
+    // The lesson takes the form of an answer, because remembered decisions are shown as answers.
     Ok(Ok(vec![DiluItem {
         description: mistake.description.clone(),
         answer: format!(

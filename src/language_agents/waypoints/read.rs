@@ -43,6 +43,8 @@ pub(crate) fn read_waypoints(answer: &str, motion: Motion, chat: &Chat<'_>) -> R
         Ok(waypoints) => match jump(&waypoints, motion) {
             None => Reply::plan(waypoints),
             Some(message) => Reply {
+                // Kept although it is refused, so that the record and the page show what the model
+                // wanted.
                 answer: Some(waypoints),
                 errors: vec![ParseError {
                     span: list_in(answer),
@@ -98,6 +100,7 @@ fn read(answer: &str) -> Result<WaypointList, Fault> {
         .get(list.start + 1..)
         .filter(|_| !list.is_empty())
         .ok_or(Fault::NoList)?;
+    // Read by hand, so that an error names its waypoint and its place in the answer.
     let (mut places, mut rest) = (Vec::new(), inside);
     let at = |rest: &str| answer.len() - rest.len();
     loop {

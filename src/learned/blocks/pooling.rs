@@ -42,6 +42,7 @@ fn pooled(x: &Tensor, counts_as: impl Fn(usize) -> Option<f32> + Sync) -> Result
                 }
             }
         };
+        // Few numbers are done before other threads have started.
         if values.len() < MIN_PARALLEL {
             out.chunks_exact_mut(width)
                 .zip(values.chunks_exact(rows * width))

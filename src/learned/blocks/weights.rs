@@ -117,6 +117,8 @@ impl fmt::Display for Mismatch {
         ];
         let kinds = kinds.into_iter().filter(|(_, names)| !names.is_empty());
         for (i, (kind, names)) in kinds.enumerate() {
+            // A checkpoint of another network lacks hundreds of tensors, and a few names tell which
+            // network it is.
             let shown = names
                 .iter()
                 .take(MAX_NAMES)

@@ -91,6 +91,8 @@ impl Dtpp {
             ..
         } = config;
         let tokens = branches * TOKENS;
+        // Buffers that PyTorch stored; they are computed here. Skipped, they do not count as left
+        // over.
         weights.skip("decoder.casual_mask", &[tokens, tokens])?;
         weights.skip("decoder.time_index", &[branches, TOKENS])?;
         let layers = [0, 2].map(|i| format!("decoder.ego_traj_encoder.{i}"));
@@ -242,6 +244,7 @@ impl Dtpp {
         let bias = |keys: usize, open: &dyn Fn(usize, usize, usize) -> bool| {
             let mut values = Vec::with_capacity(batch * heads * tokens * keys);
             for place in 0..batch * heads {
+                // The order in which upstream's masks reach the heads, see above.
                 let sample = place % batch;
                 for query in 0..tokens {
                     values.extend((0..keys).map(|key| {

@@ -48,6 +48,7 @@ pub fn costed_paths(scene: &SceneView<'_>) -> Vec<CostedPath> {
     let Some((block, _)) = starting_block(scene) else {
         return Vec::new();
     };
+    // What moves is left to the scores of the tree, which know where it is at each time.
     let obstacles: Vec<_> = scene
         .objects
         .iter()

@@ -131,6 +131,8 @@ fn stage(
             let Some(&[x, y, ..]) = steps.last() else {
                 continue;
             };
+            // Of trajectories that end close together the first is kept, so the order of the loops
+            // matters.
             let near = |other: &Vec<Step>| {
                 other
                     .last()

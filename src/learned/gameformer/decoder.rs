@@ -85,6 +85,7 @@ impl Decoder {
         [dim, levels, modes, actors]: [usize; 4],
     ) -> Result<Self> {
         let first = "decoder.initial_predictor";
+        // Indices of the embeddings, which the checkpoint stores and this code counts itself.
         weights.skip(&format!("{first}.modal"), &[modes])?;
         weights.skip(&format!("{first}.agent"), &[actors])?;
         let stage = |i: usize| {
@@ -170,6 +171,7 @@ impl Decoder {
                 &encoded,
             );
             let shares = softmax(scores)?.unsqueeze(3)?;
+            // As upstream: a mean over the modes, although their shares sum up to one already.
             let expected = (encoded.broadcast_mul(&shares)?.sum(2)? / modes as f64)?;
             let interaction = stage.interaction.own(&expected, &key_bias(&present)?)?;
             probe.note(

@@ -151,6 +151,7 @@ fn neighbors(
     }
     present.sort_by(|a, b| a.0.total_cmp(&b.0));
     present.truncate(MAX_NEIGHBORS);
+    // After the cut, as upstream: neighbors far behind have taken places of others.
     present.retain(|(_, _, object)| {
         f64::from(relative(frame, rounded(object.shape.center))[0]) >= BEHIND
     });
@@ -315,6 +316,7 @@ fn nearest(
             .map(|place| [place.x as f32, place.y as f32])
             .collect();
         for i in 0..points {
+            // The last point has none after it, so it repeats the direction before.
             let from = i.min(points - 2);
             let along = [
                 local[from + 1][0] - local[from][0],

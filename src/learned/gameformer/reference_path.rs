@@ -123,6 +123,7 @@ pub fn costed_paths(scene: &SceneView<'_>, block: RoadblockId) -> Vec<(Vec<Point
             _ => obstacles.push(object.shape),
         }
     }
+    // Upstream's rule for where a change of lane costs more: at lights, and slow on a wide road.
     let stay = scene.lights.iter().next().is_some()
         || (scene.map[block].lanes.len() >= MANY_LANES && scene.ego.velocity.x <= SLOW);
     let costed = |lane: &Candidate, path: Vec<Point>| {

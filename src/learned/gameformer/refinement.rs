@@ -77,6 +77,8 @@ impl Refinement {
             let Some(step) = newton_step(&residuals) else {
                 break;
             };
+            // A step is taken even where the objective grows, as in theseus; the caller keeps the
+            // best iterate.
             for (speed, step) in speeds.iter_mut().zip(step.iter()) {
                 *speed += DAMPING * step;
             }

@@ -114,6 +114,7 @@ fn means(rows: &[Vec<f64>], labels: &[usize], centers: &[Vec<f64>]) -> Vec<Vec<f
     let empty: Vec<usize> = (0..sums.len())
         .filter(|&cluster| sums[cluster].1 == 0)
         .collect();
+    // The row that moves also leaves the mean of the cluster that it was in.
     for cluster in empty {
         let Some(row) = far.pop() else { break };
         let (sum, count) = &mut sums[labels[row]];
@@ -143,6 +144,8 @@ pub fn ranks(counts: &[usize], centers: &[Vec<f64>]) -> Vec<usize> {
     for rank in (2..=left.len()).rev() {
         let mut nearest = (f64::INFINITY, 0, 1);
         for a in 0..left.len() {
+            // Both orders of a pair, as upstream: the order decides which of two equal clusters is
+            // joined into the other.
             for b in (0..left.len()).filter(|&b| b != a) {
                 let (n, m) = (left[a].1, left[b].1);
                 let distance = n * m / (n + m) * squared(&left[a].2, &left[b].2).sqrt();

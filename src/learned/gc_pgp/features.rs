@@ -79,6 +79,8 @@ impl GcPgpFeatures {
         );
         let tensor =
             |values: Vec<f32>, shape: &[usize]| Tensor::from_vec(values, shape, &Device::Cpu);
+        // A number of its own marks each padded number, because the network takes masks of the same
+        // shape.
         let (mut poses, mut missing) = (
             vec![0f32; nodes * POSES * POSE],
             vec![1f32; nodes * POSES * POSE],
@@ -225,6 +227,7 @@ fn agents(
             let found = vehicles.find(|object| object.token == now.token);
             (states[i], seen[i]) = (found.copied().unwrap_or(states[i + 1]), found.is_some());
         }
+        // Through f32, as upstream: the rounding shows in the derivatives.
         let speeds = states.map(|state| f64::from(state.velocity.norm() as f32));
         let headings = states.map(|state| f64::from(state.shape.center.heading as f32));
         let (accelerations, yaw_rates) = (

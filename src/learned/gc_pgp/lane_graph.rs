@@ -87,6 +87,7 @@ impl LaneNodes {
             }
         }
         join(scene, &mut nodes);
+        // The network cannot run without a node; far from all lanes it gets one of zeros.
         if nodes.is_empty() {
             let (successors, proximal) = Default::default();
             let poses = vec![[0.0; 7]];
@@ -159,6 +160,7 @@ fn sampled(lane: &Lane) -> Vec<Pose> {
     };
     let mut sampled: Vec<Pose> = (0..count).map(at).collect();
     let end = vertex(last);
+    // The heading counts like a coordinate, as in upstream's norm.
     let far = sampled.last().is_none_or(|pose| {
         let apart = [pose.x - end.x, pose.y - end.y, pose.heading - end.heading];
         apart.iter().map(|part| part * part).sum::<f64>().sqrt() > RESOLUTION / 2.0
@@ -213,6 +215,7 @@ fn join(scene: &SceneView<'_>, nodes: &mut [Node]) {
                 .collect()
         };
     }
+    // Edges between neighbors come last: a pair that already follows one another gets none.
     let middles: Vec<(Point, f64)> = nodes.iter().map(middle).collect();
     for a in 0..nodes.len() {
         for b in a + 1..nodes.len() {

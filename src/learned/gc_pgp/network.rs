@@ -118,6 +118,7 @@ impl GcPgp {
     /// When a tensor cannot be converted.
     pub fn take(weights: &mut Weights) -> Result<Self> {
         let encoder = Encoder::take(weights)?;
+        // Both policies have the same layers; only names and inputs differ.
         let mut layers = |names: [&str; 3], inputs: usize| -> Result<[Linear; 3]> {
             let [first, second, last] = names;
             Ok([

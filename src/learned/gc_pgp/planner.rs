@@ -89,6 +89,8 @@ impl GcPgp {
         features: &GcPgpFeatures,
         inputs: &GcPgpInputs,
     ) -> Result<Vec<(f64, Places)>> {
+        // One generator for walks, latents and clusters, in this order: the same scene gives the
+        // same plan.
         let mut random = Pcg64Mcg::seed_from_u64(SEED);
         let scene = self.encode(inputs, true, &Probe::off())?;
         let (policy, targets) = (

@@ -35,6 +35,7 @@ pub fn visited(graph: &LaneNodes, poses: &[[f64; 3]]) -> Visited {
     for &pose in poses.iter().skip(1) {
         let [x, y, _] = pose;
         let inside = (FORWARD[0]..=FORWARD[1]).contains(&x) && y.abs() <= SIDE;
+        // Nodes overlap. A driver who is still close to one has not left it for another.
         if !inside || nearest(graph, node, pose).0 < LEFT {
             continue;
         }

@@ -23,6 +23,7 @@ pub fn course(points: &[Point]) -> Option<Course> {
     let mut lengths = vec![0.0];
     for pair in points.windows(2) {
         let chord = (pair[1] - pair[0]).norm();
+        // The splines divide by the chords.
         if chord <= 0.0 {
             return None;
         }

@@ -158,6 +158,7 @@ fn candidate(scene: &SceneView<'_>, lanes: Vec<LaneId>) -> Option<Candidate> {
         .map(|(&point, heading)| Pose::at(point, heading))
         .collect();
     Some(Candidate {
+        // As upstream, which counts vertices and measures no lengths.
         length: SPACING * line.len() as f64,
         distance,
         lanes,

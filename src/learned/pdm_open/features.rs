@@ -43,6 +43,7 @@ impl PdmFeatures {
             .map(|sample| sample.ego)
             .collect();
         let here = scene.ego.rear_axle;
+        // Upstream takes derivatives from the devkit's comfort metrics, and so does this.
         let signal = |quantity: ComfortQuantity| quantity.signal(&states);
         let yaw_rate = signal(ComfortQuantity::YawRate)?;
         let forward = signal(ComfortQuantity::LonAcceleration)?;

@@ -112,6 +112,7 @@ impl PdmNetwork {
         let second = relu(&self.second.forward(&relu(&first)?)?)?;
         probe.note("planner_head.4", &second);
         let poses = self.last.forward(&second)?.reshape(((), POSES, 3))?;
+        // PDM-Offset predicts what to add to PDM-Closed's poses.
         match (&self.trajectory, &inputs.trajectory) {
             (Some(_), Some(trajectory)) => poses + trajectory,
             _ => Ok(poses),

@@ -94,6 +94,7 @@ impl PlanTfFeatures {
             heading: Tensor::from_vec(heading, (1, count, HISTORY), &Device::Cpu)?,
             velocity: pairs(|agent| &agent.velocity)?,
             shape: pairs(|agent| &agent.shape)?,
+            // Zero is the ego's category.
             category: Tensor::from_vec(vec![0u32; count], (1, count), &Device::Cpu)?,
             valid: Tensor::from_vec(valid, (1, count, HISTORY), &Device::Cpu)?,
             map: self.map.inputs()?,

@@ -48,6 +48,7 @@ impl HistoryEncoder {
                 )
             };
             let blocks = (0..BLOCKS).map(block).collect::<Result<_>>()?;
+            // Nothing stands behind the coarsest level, so it alone is not halved.
             let downsample = if level + 1 < HEADS.len() {
                 Some((
                     Conv1d::halving(
@@ -97,6 +98,8 @@ impl HistoryEncoder {
             .max(D::Minus1)?
             .flatten_all()?
             .to_vec1::<u8>()?;
+        // Attention takes most of the time, and rows of agents that were never seen stay zero
+        // anyway.
         let places: Vec<u32> = (0u32..)
             .zip(&seen)
             .filter(|&(_, &seen)| seen != 0)
@@ -131,6 +134,7 @@ impl HistoryEncoder {
             }
             let normed = stage.norm.forward(&x)?;
             probe.note(&format!("{name}.norm{level}"), &normed);
+            // Only the last steps reach the output; the convolution needs one more at their edge.
             let end = normed.narrow(1, normed.dim(1)? - READ - 1, READ + 1)?;
             scales.push(lateral.forward(&end.transpose(1, 2)?)?.narrow(2, 1, READ)?);
             if let Some((halving, norm)) = &stage.downsample {

@@ -60,6 +60,8 @@ impl MapEncoder {
         probe.note(&format!("{name}.polygon_encoder"), &encoded);
         let embedded =
             |table: &Tensor, index: &Tensor| table.index_select(&index.flatten_all()?, 0);
+        // Both embeddings are computed and masked, since a batch mixes lanes with and without a
+        // limit.
         let limited = map
             .has_speed_limit
             .reshape((rows, 1))?

@@ -75,6 +75,8 @@ impl MapFeatures {
             .into_iter()
             .map(|lane| &map[lane])
             .collect();
+        // Upstream asks for lanes first and for connectors after them. The sort is stable, which
+        // keeps the order of each.
         lanes.sort_by_key(|lane| lane.kind == LaneKind::Connector);
         let lanes = lanes.into_iter().map(|lane| {
             let Borders { left, right } = borders(&lane.centerline, &lane.polygon);
@@ -121,6 +123,7 @@ impl MapFeatures {
 
     /// A batch of one. Without any polygon, one stands there whose every point is masked.
     pub(super) fn inputs(&self) -> Result<PlanTfMap> {
+        // A masked polygon stands for none, so that no layer meets a tensor without rows.
         let nothing = [PolygonFeatures::masked()];
         let polygons = if self.polygons.is_empty() {
             &nothing[..]

@@ -178,6 +178,7 @@ impl PlanTf {
             .decoder
             .forward(&x.narrow(1, 0, 1)?.squeeze(1)?, self.config)?;
         let others = x.narrow(1, 1, agents - 1)?;
+        // The ego alone: the predictor would get a tensor without rows.
         let prediction = match agents {
             1 => Tensor::zeros((batch, 0, POSES, 2), DType::F32, x.device())?,
             _ => self

@@ -62,6 +62,7 @@ impl Canvas {
         let mut edges = Vec::with_capacity(vertices.len());
         for &vertex in vertices {
             let now = scaled(vertex);
+            // As OpenCV: spans leave out parts of thin polygons, which the outline adds.
             self.border(
                 [before, now].map(|[x, y]| [(x + HALF) >> FRACTION, y]),
                 value,
@@ -101,6 +102,7 @@ impl Canvas {
         let Some([mut from, mut to]) = clipped(ends, self.side as i64 - 1) else {
             return;
         };
+        // Always from left to right, as OpenCV: ties round to other pixels in the other direction.
         if to[0] < from[0] {
             (from, to) = (to, from);
         }

@@ -89,6 +89,7 @@ impl Elements {
                 points[place * COLUMNS..][..values.len()].copy_from_slice(values);
                 available[place] = 1;
             };
+            // Upstream's points go back in time, the present first.
             for (point, state) in scene.ego.iter().rev().enumerate() {
                 put(0, point, state);
             }

@@ -115,6 +115,7 @@ fn layers(scene: &SceneView<'_>) -> [Vec<Vec<MapPoint>>; 6] {
         .into_iter()
         .map(|lane| &map[lane])
         .collect();
+    // Upstream asks for lanes first and for connectors after them, which decides ties in distance.
     lanes.sort_by_key(|lane| lane.kind == LaneKind::Connector);
     let lanes = nearest(lanes, here);
     let sides: Vec<Borders> = lanes

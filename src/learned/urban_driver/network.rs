@@ -112,6 +112,7 @@ impl UrbanDriver {
             .index_select(&Tensor::from_iter(kinds, &Device::Cpu)?, 0)?;
         probe.note("type_embedding", &kinds);
         let ego = x.narrow(1, 0, 1)?;
+        // The ego counts as seen in any case: attention without a key has no result.
         let own = Tensor::ones((batch, 1), seen.dtype(), &Device::Cpu)?;
         let hidden = key_bias(&Tensor::cat(&[own, seen.narrow(1, 1, rows - 1)?], 1)?)?;
         let mixed = self
@@ -150,6 +151,7 @@ impl UrbanDriver {
             }
             largest_where(&x, &available, f32::NEG_INFINITY)
         };
+        // Pieces stay in the cache through all layers, and threads share them.
         let pieces = places
             .par_chunks(PIECE)
             .map(piece)

@@ -57,6 +57,7 @@ impl GgufAdapter {
                 return Err(header.error("adapter.type", problem));
             }
         }
+        // Merged, it would act on every token: refused, because the model would answer otherwise.
         if header.metadata.contains_key(INVOCATION) {
             let problem = "an activated LoRA works from a token sequence on and cannot be merged";
             return Err(header.error(INVOCATION, problem));
@@ -131,6 +132,7 @@ impl GgufAdapter {
 
     fn about(&self, architecture: &str) -> Result<About, MllmError> {
         let header = &self.header;
+        // An address names one repository; several models share a name.
         let base = match header.text("general.base_model.0.repo_url")? {
             Some(address) => Some(address),
             None => header.text("general.base_model.0.name")?,

@@ -48,6 +48,7 @@ impl MergedTensor {
     fn make(&self, change: &Change, values: &mut [f32]) -> Result<(), MllmError> {
         let shape = self.base.shape();
         let columns = flat(shape).map_or(1, |[_, columns]| columns);
+        // One match: an arm is a kind of change, and all arms know the same base tensor.
         match change {
             Change::Replace { tensor, rows, .. } => {
                 let new = tensor.values()?;

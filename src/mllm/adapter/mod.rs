@@ -83,6 +83,7 @@ impl Adapter {
                 files,
             });
         }
+        // Users name the folder or one of its two files; both mean the same adapter.
         let folder = match path.file_name() {
             _ if path.is_dir() => path,
             Some(name) if name == PEFT_CONFIG || name == PEFT_WEIGHTS => {

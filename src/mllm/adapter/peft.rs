@@ -85,6 +85,7 @@ impl PeftAdapter {
             let problem = "too many patterns (rank_pattern, alpha_pattern) for so many tensors";
             return Err(refused(&config, problem));
         }
+        // `changed_base` belongs to the settings: it changes the merged weights and so the digest.
         let settings_text = format!("{changed_base}\n{text}").into_bytes();
         let files = Arc::new(AdapterFiles {
             weights,
@@ -129,6 +130,7 @@ impl PeftAdapter {
             }
         }
         let mut unnamed = 0;
+        // After the loop: the tensors of a module stand in any order in the file.
         for (module, tensors) in modules {
             if let Some(parameter) = self.parameter(module) {
                 entries.push(self.experts(&parameter, tensors)?);

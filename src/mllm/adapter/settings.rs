@@ -126,6 +126,8 @@ impl Settings {
         let root = ConfigObject::root(&path, json)?;
         check_kind(&root)?;
         let mut notes = Vec::new();
+        // Before anything is read: a key without a meaning here would change the weights in
+        // silence.
         check_unread(&root, json, &mut notes)?;
         let rank = root.value("r")?.unwrap_or(8);
         let map = |key: &str| -> Result<Map<String, Value>, MllmError> {
@@ -310,6 +312,7 @@ fn start(
     if changed_base {
         return Ok(Start::OfTheBase);
     }
+    // Some initializations move a part of the base into the adapter, which must be taken out again.
     match kind.as_str() {
         "gaussian" | "orthogonal" | "mica" | "eva" | "true" | "false" => Ok(Start::OfTheBase),
         "pissa" => Ok(Start::Pissa),

@@ -146,6 +146,7 @@ fn places(canonical: &str, change: &Change, weights: &Weights) -> Vec<(String, C
     };
     let height = |name: &str| weights.base_tensor(name)?.shape().first().copied();
     let mut found = Vec::new();
+    // All three parts or none: a change of some of them would be another model.
     if part == "qkv" {
         let mut source = 0;
         for part in PARTS {
@@ -235,6 +236,7 @@ fn prepare(
         );
         return Err(refused(path, problem));
     }
+    // A replaced tensor comes before what is added to it, whatever their order in the file.
     changes.sort_by_key(|(_, change)| change.order());
     let mut fitting: Vec<Change> = Vec::with_capacity(changes.len());
     for (tensor, change) in changes {

@@ -48,6 +48,7 @@ impl Targeted {
             .map(String::as_str)
             .filter(|pattern| !pattern.is_empty())
             .collect();
+        // PEFT then takes any name before the number of a layer.
         let named = if named.is_empty() {
             vec!["[^.]*"]
         } else {

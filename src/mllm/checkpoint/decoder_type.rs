@@ -42,6 +42,7 @@ impl DecoderType {
 
     /// Where the class differs from `LlamaConfig` in a key that is left out (transformers 5.24.0).
     pub(super) fn defaults(self) -> Value {
+        // One match: an arm is a class of transformers, with the values of its configuration class.
         match self {
             Self::Llama => json!({}),
             Self::Mistral => json!({

@@ -218,6 +218,8 @@ impl LlamaConfig {
             );
             return Err(("mrope_section", problem));
         }
+        // The first frequencies that are not finite would show as logits that are not, thousands of
+        // products later.
         let usable = |frequency: &f32| frequency.is_finite() && *frequency > 0.0;
         if !frequencies(&self.rope, *head_dim).iter().all(usable) {
             let problem = format!(

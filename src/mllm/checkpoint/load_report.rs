@@ -90,6 +90,7 @@ impl LoadReport {
         self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
         let name = any_layer(name);
+        // Layers repeat, so equal exceptions of all layers are one line with a count.
         let same = |known: &&mut WeightFormatException| {
             known.name == name
                 && known.weight_format == planned.weight_format
@@ -152,6 +153,7 @@ impl LoadReport {
             )
         };
         let mut lines: Vec<String> = self.weight_formats.iter().map(share).collect();
+        // Exceptions of one kind share a line, but need not follow each other in the list.
         let mut told: Vec<(WeightFormat, &str, &str)> = Vec::new();
         for WeightFormatException {
             file,
@@ -215,6 +217,7 @@ pub fn parameter_count(parameters: u64) -> String {
 
 /// A number of bytes for people: GiB from 1 GiB on, else MiB.
 pub fn in_bytes(bytes: u64) -> String {
+    /// Bytes of a MiB.
     const MIB: f64 = 1_048_576.0;
     let mebibytes = bytes as f64 / MIB;
     if mebibytes >= 1024.0 {

@@ -26,6 +26,7 @@ const PICKLE: &str =
 /// What a file is, by its beginning, instead of weights or JSON; none if nothing is known.
 pub(crate) fn what_instead(beginning: &[u8]) -> Option<String> {
     const AGAIN: &str = "download the file again";
+    // First the kinds with their own advice; the general list knows some of them by name alone.
     let advised = ADVISED
         .iter()
         .find(|(magic, _)| beginning.starts_with(magic));

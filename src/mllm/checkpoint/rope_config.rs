@@ -49,6 +49,7 @@ pub(super) fn read_rope(
         }
         None => text.child_or_empty("rope_parameters")?,
     };
+    // A key that this code would pass over changes every answer, so it is refused.
     section.only_neutral(&[("partial_rotary_factor", Neutral::Number(1.0))])?;
     let required = |key: &str| {
         section
@@ -160,6 +161,7 @@ fn read_yarn(
 
 /// The rotary embedding of the local layers of a Gemma 3.
 pub(super) fn read_local_rope(text: &ConfigObject<'_>) -> Result<Rope, MllmError> {
+    /// Base where the file has none (`rope_local_base_freq` of `Gemma3TextConfig`).
     const THETA: f64 = 10_000.0;
     let section = layer_rope(text, "sliding_attention")?;
     let own = match &section {

@@ -280,6 +280,7 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     let weight_map = weight_map.ok_or_else(|| root.error("weight_map", "is missing"))?;
     let mut files: Vec<PathBuf> = Vec::new();
     for (tensor, file) in weight_map {
+        // The index comes from a stranger, and a path in it could name any file of this machine.
         if file.is_empty() || file.contains(['/', '\\']) || file == ".." {
             let problem = format!("expected the name of a file in this folder, found '{file}'");
             return Err(root.error(&format!("weight_map.{tensor}"), problem));

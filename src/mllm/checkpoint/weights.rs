@@ -254,6 +254,8 @@ impl Weights {
             .iter()
             .try_fold(1, |product: usize, side| product.checked_mul(*side));
         let small = elements.is_some_and(|elements| elements < most);
+        // Limits, because a configuration of a stranger decides how many tensors are asked for, and
+        // how large.
         if let TensorAccess::List(asked) = &mut self.access {
             if asked.len() >= MAX_LISTED {
                 let problem = format!("the configuration asks for more than {MAX_LISTED} tensors");
@@ -374,6 +376,7 @@ impl Weights {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
         let [_, inputs] = shape;
+        // A placeholder of one row: checking a model must not need its memory.
         if self.looked(name, &shape, MAX_MATRIX)? {
             return Ok(Matrix::quantize(
                 &vec![0.0; inputs],

@@ -203,6 +203,7 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
                 x = (x + deep)?;
             }
         }
+        // After the last layer, since every layer writes at the same positions.
         cache.advance(tokens);
         let x = match wanted {
             Logits::None => return Ok(None),

@@ -60,6 +60,7 @@ pub(super) fn body(
     if let Some((name, value)) = constraint_field(settings.grammar, &request.constraint)? {
         set(name, value);
     }
+    // Last, so that a description can remove or replace whatever a server refuses.
     for name in &settings.omit {
         fields.remove(name);
     }
@@ -104,6 +105,7 @@ fn constraint_field(
         constraint: format!("{constraint:?}"),
         problem,
     };
+    // One match: an arm is a row of docs/endpoint.md, with the form that its servers take.
     Ok(match field {
         GrammarField::None => None,
         GrammarField::Gbnf => Some(("grammar", json!(gbnf(constraint).map_err(fail)?))),

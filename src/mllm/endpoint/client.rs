@@ -127,6 +127,7 @@ impl Client {
             ..question
         };
         let result = self.asked_with_retries(question, listens, &mut pass_on)?;
+        // Remembered only once it worked: a request may be refused for another reason.
         let refused = matches!(result, Err(EndpointFailure::Refused { .. }));
         self.picture_as_text.store(!refused, Ordering::Relaxed);
         result.map_err(|failure| self.error(self.explained(failure, question)))

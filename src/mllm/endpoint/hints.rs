@@ -99,6 +99,7 @@ impl Refusal<'_> {
                     .to_owned(),
             });
         }
+        // Servers word the same fault in many ways. From the surest sign to the weakest.
         let plain = self.message.to_ascii_lowercase();
         if matches!(self.status, 200 | 404 | 405) && !self.is_of_the_model() {
             return without_version(self.url).or_else(|| self.about_pictures(&plain));

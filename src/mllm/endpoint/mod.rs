@@ -53,6 +53,7 @@ impl Endpoint {
             .as_deref()
             .map(ApiKey::from_environment)
             .transpose()?;
+        // Descriptions are part of a run's records, where a key must not stand.
         if let (Some(key), Some(variable)) = (&key, &settings.key_env)
             && settings
                 .extra

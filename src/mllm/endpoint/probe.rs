@@ -123,6 +123,7 @@ fn remarks(answers: &[ProbeAnswer], grammar: GrammarField) -> Vec<String> {
             field.as_str().expect("the name of a field is a text")
         ));
     }
+    // Remarks and no errors: the questions are simple, but a small model may still fail them.
     if let [first, second] = answers {
         let sees = |answer: &ProbeAnswer, own: usize| {
             COLORS

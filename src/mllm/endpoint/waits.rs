@@ -55,6 +55,7 @@ impl Waits {
         failure: EndpointFailure,
         asked: Option<Duration>,
     ) -> Result<(Duration, EndpointFailure), EndpointFailure> {
+        // Loading is no failure. It has a time limit of its own and uses up no retries.
         if let EndpointFailure::Loading {
             status, message, ..
         } = failure

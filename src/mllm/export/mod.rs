@@ -95,6 +95,7 @@ pub fn export_model(
         };
         let mut out = create(part.kind).map_err(failed)?;
         part.layout.write_header(&mut out).map_err(failed)?;
+        // A tensor at a time, so that a model is exported in less memory than it has weights.
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
             let data = data(&mut checkpoint.weights, canonical, tensor, part.norm_offset)?;
             let data = match part

@@ -47,6 +47,7 @@ impl Layout {
             put_text(&mut header, &tensor.name);
             let shape = in_four_dimensions(&tensor.shape);
             header.extend((shape.len() as u32).to_le_bytes());
+            // GGUF lists dimensions from the innermost one on.
             for side in shape.iter().rev() {
                 header.extend((*side as u64).to_le_bytes());
             }

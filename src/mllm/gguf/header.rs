@@ -17,6 +17,7 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+/// First bytes of a GGUF file.
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.
 const VERSIONS: [u32; 2] = [2, 3];

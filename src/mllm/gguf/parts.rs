@@ -31,6 +31,7 @@ pub(crate) fn open_model(path: &Path) -> Result<(Header, Vec<WeightFile>), MllmE
         return Ok((header, vec![file]));
     };
     let paths = part.paths(&header)?;
+    // Lazily: an absent part is reported before others are read.
     let mut parts = paths.iter().map(|path| {
         if path.is_file() {
             open_header(path)

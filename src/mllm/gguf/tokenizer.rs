@@ -117,6 +117,7 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         config,
     } = Special::read(header, &pieces)?;
     let flag = |key: &str| header.flag(&format!("tokenizer.ggml.{key}"));
+    // llama.cpp's default where the key is absent.
     let bos = if flag("add_bos_token")?.unwrap_or(true) {
         bos
     } else {
@@ -273,6 +274,7 @@ impl<'a> Pieces<'a> {
         };
         let mut ids = HashMap::new();
         for (id, token) in tokens.iter().enumerate() {
+            // A text with two ids would have one of them when the tokenizer reads it back.
             if let Some(other) = ids.insert(token, id) {
                 return Err(header.error(
                     TOKENS,
@@ -319,6 +321,8 @@ impl<'a> Pieces<'a> {
                     Some((*ids.get(left)?, *ids.get(right)?, [left, right]))
                 })
                 .collect();
+            // transformers sorts the pairs of a piece by their ids, and its sort by score is
+            // stable.
             pairs.sort_unstable_by_key(|(left, right, _)| (*left, *right));
             merges.extend(pairs.into_iter().map(|(_, _, pair)| (scores[id], pair)));
         }
@@ -361,6 +365,7 @@ impl<'a> Pieces<'a> {
             .collect();
         let tokens = self.added();
         let space = json!({"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"});
+        // The same parts, in the same order, as in `tokenizer.json` of transformers' Llama.
         let normalizers = if prefix {
             vec![json!({"type": "Prepend", "prepend": "\u{2581}"}), space]
         } else {

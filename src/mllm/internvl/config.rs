@@ -46,6 +46,7 @@ impl InternVlConfig {
         named: impl FnOnce() -> Result<Option<u64>, MllmError>,
     ) -> Result<Self, MllmError> {
         let mut value = value.clone();
+        // The two kinds of checkpoints write a side as a number or as a pair of equal ones.
         for key in ["/vision_config/image_size", "/vision_config/patch_size"] {
             if let Some(sides) = value.pointer_mut(key) {
                 square(sides);

@@ -115,6 +115,7 @@ impl TileProcessor {
                 format!("{min} to {max} tiles; expected 1 to {MAX_TILES}"),
             ));
         }
+        // The largest grid is a row of all tiles.
         check_picture(tile, tile * max).map_err(|problem| object.error("max_patches", problem))?;
         Ok(Self {
             tile,

@@ -38,6 +38,7 @@ impl ImageEncoder {
         let positions = format!("{embeddings}.position_embedding.weight");
         let projector = |layer: &str| format!("multi_modal_projector.{layer}");
         let patches = format!("{embeddings}.patch_embedding");
+        // One literal, in the order of the forward pass.
         Ok(Self {
             class_embedding: weights
                 .take_of_any_rank(&format!("{embeddings}.class_embedding"), &[1, hidden])?,

@@ -19,6 +19,7 @@ pub(crate) struct LlavaNextConfig {
 /// and width, pixels.
 const DEFAULT_PINPOINTS: [[u32; 2]; 5] =
     [[336, 672], [672, 336], [672, 672], [1008, 336], [336, 1008]];
+/// Maximum number of resolutions: the list comes from a stranger's file.
 const MAX_PINPOINTS: usize = 64;
 /// Longest side of a resolution, pixels; a longer one means a broken configuration.
 const MAX_SIDE: u32 = 1 << 14;
@@ -49,6 +50,7 @@ impl LlavaNextConfig {
         let side = llava.vision.image_size as u32;
         let resolutions = pinpoints(&root)?;
         for Resolution { height, width } in &resolutions {
+            // A stranger's file lists these resolutions; each decides how large a picture becomes.
             check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
         }
         let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;

@@ -70,6 +70,8 @@ impl Drafting {
         let model = &*self.model.0;
         let is_image = |id: u32| id == image || id == model.info().image_token;
         let text: Vec<u32> = chat.iter().copied().filter(|id| !is_image(*id)).collect();
+        // Tokens that the small model does not know: it cannot draft here, and the larger one
+        // answers alone.
         if text
             .iter()
             .any(|id| *id as usize >= model.info().vocabulary)

@@ -119,6 +119,7 @@ pub(super) fn generate(
         passes: 0,
         start,
     };
+    // The sequence is put in order also after an error, because the conversation goes on from it.
     let ran = generation.run(&mut grammar, &mut sampler, end.tokens, on_tokens);
     generation.settle();
     let needed = generation.needed;
@@ -142,6 +143,8 @@ impl Generation<'_> {
                 fast_forwarded.truncate(left);
                 self.push_fast_forwarded(&fast_forwarded);
                 on_tokens(&self.out.ids);
+                // An answer that the budget cuts is not complete, even if the grammar has nothing
+                // left to ask.
                 if grammar.is_complete() && !cut {
                     self.out.finish = FinishReason::Complete;
                     return Ok(());
@@ -282,6 +285,7 @@ impl Generation<'_> {
             self.deadline,
         )?;
         let vocabulary = self.model.info().vocabulary;
+        // A draft may come from another model, whose vocabulary may be larger.
         let known = draft
             .iter()
             .take_while(|token| (**token as usize) < vocabulary)

@@ -69,6 +69,7 @@ impl Search {
         let highest = weighed()
             .map(|(logit, _)| logit)
             .fold(f64::NEG_INFINITY, f64::max);
+        // The highest logit is taken out, because `exp` of a large one overflows.
         let total = highest
             + weighed()
                 .map(|(logit, _)| (logit - highest).exp())

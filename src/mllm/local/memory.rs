@@ -207,6 +207,7 @@ fn check_against(
     let smaller = [WeightFormat::Q8_0, WeightFormat::Q4K]
         .map(|weight_format| (weight_format, need_as(Some(weight_format)).total()))
         .into_iter()
+        // A file may be smaller than these formats already.
         .filter(|(_, total)| *total < need.total());
     let hints: Vec<String> = smaller
         .map(|(weight_format, total)| {

@@ -280,6 +280,7 @@ pub(crate) fn end_tokens(
     tokenizer: &ChatTokenizer,
     vocabulary: usize,
 ) -> Result<Vec<u32>, MllmError> {
+    // transformers' order: the first file that names any decides.
     for file in ["generation_config.json", "config.json"] {
         let Some(value) = files.json(file)? else {
             continue;

@@ -123,6 +123,7 @@ impl Sequence {
     ) -> Result<DecoderInput, MllmError> {
         let image_token = model.info().image_token;
         let is_image = |id: &u32| *id == image_token;
+        // A pass may end inside the placeholders, so it goes on behind those that are computed.
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
         let known = features.map_or(0, |features| features.layout.tokens);
         let mut rows = Vec::new();

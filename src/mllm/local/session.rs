@@ -174,6 +174,7 @@ impl Conversation for LocalConversation<'_> {
         }
         let mut answers = search.into_answers();
         if let Some(likeliest) = answers.first_mut() {
+            // The user waits for the whole search, so its cost is that of the answer that is kept.
             sum.write_into(likeliest);
             self.turns.push(Turn {
                 prompt: prompt.to_string(),

@@ -95,6 +95,7 @@ impl Thinking {
             &mut |_| {},
         )?;
         let sampled = ids.len();
+        // The model learned no thinking that stops in mid-sentence, so the cut says why it stops.
         if finish != FinishReason::EndOfSequence {
             ids.extend(&self.cut);
         }

@@ -122,6 +122,7 @@ impl PatchEncoder for ImageEncoder {
         let patches = self
             .patch_embedding
             .forward(&unfold(pixels, self.patch_size)?)?;
+        // Patches are sorted by window once, so that both kinds of layers attend to runs of rows.
         let mut x = select(&patches, windows.order.clone())?;
         let places = windows
             .order

@@ -97,6 +97,7 @@ impl PatchProcessor {
                 );
             }
         }
+        // Older files have their own keys for both bounds, and these go before `size`.
         let least = keys
             .min_pixels
             .or(keys.size.shortest_edge)

@@ -47,6 +47,8 @@ impl ImageEncoder {
             "vision_tower.embeddings.position_embedding.weight",
             &positions,
         )?;
+        // A merger that reads a layer inside the tower, with its own norm, for an early layer of
+        // the decoder.
         let deep = config.deep.iter().enumerate().map(|(index, layer)| {
             let name = format!("{PROJECTOR}.deepstack.{index}");
             let norm = weights.take_layer_norm(&format!("{name}.norm"), merged, eps)?;
@@ -130,6 +132,8 @@ impl PatchEncoder for ImageEncoder {
         let mut deep = Vec::with_capacity(self.deep.len());
         for (index, layer) in self.layers.iter().enumerate() {
             x = layer.forward(&x, &parts)?;
+            // In the loop, since the mergers read the states between the layers, which are not
+            // kept.
             for (_, norm, merger) in self.deep.iter().filter(|(layer, ..)| *layer == index) {
                 deep.push(merger.forward(&norm.forward(&merge_blocks(&x, grid, self.merge)?)?)?);
             }

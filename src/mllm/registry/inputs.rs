@@ -32,6 +32,7 @@ impl ModelRegistry {
     /// Digests of a model's small files on this machine, and of its description.
     pub fn inputs(&self, spec: &ModelSpec) -> Result<ModelInputs, MllmError> {
         let description = description(spec);
+        // A server's files are out of reach; its description is all that can be compared.
         if matches!(spec.source, ModelSource::Endpoint(_)) {
             return Ok(ModelInputs {
                 files: BTreeMap::new(),

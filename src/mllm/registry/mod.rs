@@ -205,6 +205,7 @@ impl ModelRegistry {
     }
 
     fn whole_place(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        // One match: an arm is a kind of source in a description.
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),

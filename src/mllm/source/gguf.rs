@@ -122,6 +122,8 @@ fn open_files(
 ) -> Result<Checkpoint, MllmError> {
     let mut notes = Vec::new();
     let tower_header = tower.as_ref().map(|(header, _)| *header);
+    // First, because the configuration made from both headers tells the family, and that the
+    // layout.
     let files = small_files(decoder.0, tower_header, families, &mut notes)?;
     let decoder_header = decoder.0;
     let family = families.detect_in(&files)?;

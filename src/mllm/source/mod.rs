@@ -228,6 +228,7 @@ impl Checkpoint {
             ModelPlace::Folder(folder) => folder,
         };
         let files = ModelFiles::folder(folder)?;
+        // Safetensors win where both are there: they have all digits of the model.
         if !safetensors_folder::has_safetensors(folder)
             && let Some(model) = find_gguf(folder)?
         {

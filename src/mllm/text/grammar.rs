@@ -58,6 +58,8 @@ impl GrammarEngine {
         let first_end = *end
             .first()
             .ok_or_else(|| broken("the model has no end-of-sequence token".into()))?;
+        // The library panics on some vocabularies, and a file of a stranger must not end the
+        // program.
         let factory = catch_unwind(std::panic::AssertUnwindSafe(|| {
             let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words)
                 .with_eos_tokens(end);

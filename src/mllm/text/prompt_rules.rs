@@ -61,6 +61,7 @@ pub(super) fn check(source: &str) -> Result<(), String> {
 /// The filters, tests and functions of prompt sets. None gives more than a few times what it gets,
 /// or it has a bound.
 pub(super) fn environment() -> Environment<'static> {
+    // An explicit list: minijinja's defaults have filters that make much out of little.
     let mut environment = Environment::empty();
     environment.add_filter("abs", filters::abs);
     environment.add_filter("attr", filters::attr);

@@ -252,6 +252,7 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     if let Some(source) = files.text(NAME)? {
         return Ok((files.path(NAME), source));
     }
+    // Newer places first; older models keep the template in the last of these.
     for file in [
         "chat_template.json",
         "processor_config.json",

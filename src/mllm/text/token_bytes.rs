@@ -38,6 +38,7 @@ pub(super) fn token_bytes(
             };
         }
     }
+    // After the vocabulary, because added tokens are spelled as they are and may stand in both.
     for (id, added) in tokenizer.get_added_tokens_decoder() {
         if let Some(entry) = bytes.get_mut(id as usize) {
             entry.clear();

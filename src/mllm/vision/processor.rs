@@ -71,6 +71,7 @@ impl ClipImageProcessor {
             },
         };
         let crop = keys.do_center_crop.then(|| keys.crop_size.height_width());
+        // A stranger's file decides these sizes, which are memory.
         for (key, made) in [
             ("size", keys.do_resize.then(|| keys.size.height_width())),
             ("crop_size", crop),

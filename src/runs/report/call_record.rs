@@ -270,6 +270,7 @@ impl CallRecord {
                     .collect(),
             },
             active_from: call.active_from,
+            // Absent for zero, because most agents have no handovers.
             handovers: Some(call.handovers).filter(|&count| count > 0),
             aborted_lane_change: call.aborted_lane_change,
         }
@@ -383,6 +384,7 @@ impl ReflectionRecord {
 
 impl DecisionRecord {
     pub(super) fn from_decision(decision: &Decision) -> Self {
+        // The cause is for counting and the words are for reading, so both are written.
         let words = |why: &NoPlan| (why.cause().to_owned(), why.unreadable(), why.to_string());
         match decision.kind() {
             DecisionKind::Execute(attempt) => Self::Execute { attempt },

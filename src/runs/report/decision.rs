@@ -99,6 +99,8 @@ impl Refused<'_> {
                     .iter()
                     .any(|why| why.cause() == cause)
         };
+        // One match: an arm is a sentence of the page. Guards stand before the general arm of their
+        // decision.
         match decision {
             DecisionRecord::Execute { attempt } => format!("attempt {} is executed", attempt + 1),
             DecisionRecord::Exhausted { attempt } => {

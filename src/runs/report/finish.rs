@@ -58,6 +58,7 @@ impl RunFolder {
             write_nuboard(&folder, challenge)?;
         }
         self.write_json(TIMING, timing)?;
+        // Last: a folder with a summary counts as a complete run.
         self.write_json(SUMMARY, summary)
     }
 

@@ -184,6 +184,7 @@ fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
         .filter(|metric| metric.value <= 0.0)
         .map(|metric| format!("{} (factor 0)", metric.finding))
         .collect();
+    // The score is a product, so a factor of 0 makes all other costs meaningless.
     if !zero.is_empty() {
         return zero;
     }

@@ -233,6 +233,7 @@ fn understanding(question: Question) -> (String, String) {
             .join(", ")
     };
     let listed = |what: &str| format!("{what}: {}", choices());
+    // One match: an arm is a row of docs/prompts.md, with the limits that the code applies.
     let meaning = match question {
         Question::SceneType => listed("kind of place"),
         Question::Light => listed("next light"),
@@ -294,6 +295,7 @@ fn instruction() -> Vec<(String, String)> {
             .collect::<Vec<_>>()
             .join(", ")
     };
+    // In the order in which the answer is written: a reason stands before what it explains.
     vec![
         row(
             &format!("`{LATERAL_KEY}`"),

@@ -214,6 +214,8 @@ fn pairs(
         .filter(|name| other.contains(name))
         .map(|name| pair(name, name))
         .collect();
+    // Different planners are compared only where each run has one: else any choice would be a
+    // guess.
     match (common.is_empty(), one.as_slice(), other.as_slice()) {
         (false, ..) => Ok(common),
         (true, [one], [other]) => Ok(vec![pair(one, other)]),

@@ -155,6 +155,7 @@ pub(super) fn copy(
                 .names()
                 .map_err(ReportError::read(pictures.path()))?
             {
+                // Only files that a run writes are copied; whatever else lies there is left.
                 let Some(name) = name.to_str().filter(|name| is_bev_name(name)) else {
                     continue;
                 };
@@ -247,6 +248,7 @@ fn write_calls(
     write_synced(folder, CALLS, lines.as_bytes())?;
     let pictures = make_folder(folder, BEV)?;
     for call in &outcome.calls {
+        // Pictures before the transcript, which links to them.
         if let Some(image) = &call.image {
             let name = bev_name(call.iteration);
             let mut png = Cursor::new(Vec::new());

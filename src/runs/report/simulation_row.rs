@@ -298,6 +298,7 @@ impl SimulationRow {
         challenge: Challenge,
         score: Option<f64>,
     ) -> Self {
+        // The source is the name, as it is for generated scenarios.
         let source = format!("generated/{kind}/{seed}");
         Self {
             number: seed,

@@ -161,6 +161,7 @@ impl Summary {
                     .iter()
                     .filter(|row| row.planner == *planner && row.challenge == *challenge)
                     .collect();
+                // A planner need not be in each challenge.
                 if own.is_empty() {
                     continue;
                 }

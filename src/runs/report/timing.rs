@@ -108,6 +108,7 @@ impl Timing {
                 .collect(),
             simulation_times: rows
                 .iter()
+                // The time of a failed simulation is not comparable, since it ended early.
                 .filter(|row| row.score.is_some())
                 .map(|row| SimulationTiming {
                     id: row.scenario.clone(),

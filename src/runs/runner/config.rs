@@ -153,6 +153,7 @@ impl Config {
         let place = path.display().to_string();
         let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
             .map_err(|source| ConfigError::Read { path, source })?;
+        // Old names first: serde would only say that a field is unknown, not what replaced it.
         if let Ok(settings) = text.parse::<toml::Table>() {
             check_names(&settings, |old| line_of(&text, old.section, old.name)).map_err(
                 |fault| ConfigError::Value {

@@ -76,6 +76,7 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
         }
     }
     let all = || parts.iter().map(|part| &part.manifest);
+    // Shards may come from programs of other commits with the same results; then none is named.
     let one_commit = all().all(|manifest| manifest.commit == whole.commit);
     let data = all()
         .filter_map(|manifest| manifest.inputs.as_ref())
@@ -132,6 +133,7 @@ fn simulations(parts: &[Part]) -> Result<BTreeMap<usize, Simulation<'_>>, Runner
                 Entry::Vacant(entry) => {
                     entry.insert(own);
                 }
+                // The same simulation twice is harmless if its results are the same bytes.
                 Entry::Occupied(entry) if entry.get().equals(&own)? => {}
                 Entry::Occupied(entry) => {
                     let (first, other) = (entry.get().part.path.clone(), part.path.clone());
@@ -186,6 +188,7 @@ fn check_complete(
 
 /// How to get the missing simulations.
 fn advice(parts: &[Part]) -> String {
+    // A part that can be continued comes first: its run exists already.
     for part in parts {
         let rows = RunFolder::read_completed(&part.path)
             .map(|completed| completed.rows.len())
@@ -230,6 +233,7 @@ fn check_identities(
     let pairs = planners
         .iter()
         .flat_map(|planner| challenges.iter().map(move |challenge| (planner, challenge)));
+    // Numbers go by scenario, planner and challenge, so the pairs repeat with each scenario.
     for (simulation, (planner, challenge)) in simulations.values().zip(pairs.cycle()) {
         let row = &simulation.row;
         if row.planner != *planner || row.challenge.to_string() != *challenge {

@@ -337,6 +337,7 @@ pub(super) fn finish(
     rows: Vec<SimulationRow>,
 ) -> Result<RunResults, RunnerError> {
     let path = folder.path().to_owned();
+    // Read from the manifest: a merged or resumed run has no configuration of its own here.
     let seed = manifest.config.get("seed");
     let seed = seed
         .and_then(toml::Value::as_integer)

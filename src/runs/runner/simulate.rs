@@ -187,6 +187,7 @@ fn plan(
             .map_err(|source| RunnerError::Prepare(Box::new(source)))?;
         needs_model |= entry.needs_model();
     }
+    // After the checks, because loading a model takes long.
     let loaded = if needs_model {
         Some((request.loader)(config, listener)?)
     } else {
@@ -284,6 +285,7 @@ pub fn manifest(
         data,
         ..loaded
             .map(|loaded| loaded.inputs.clone())
+            // Without a model there are no files of one among the inputs.
             .unwrap_or_default()
     };
     add_own(&mut inputs, &planners, config);
@@ -332,6 +334,7 @@ fn complete(
     listener(Event::Started { total: left.len() });
     let simulated = run.simulate(&left, listener);
     listener(Event::Finished);
+    // The progress display must end before an error is shown.
     simulated?;
     selection
         .readers

@@ -89,6 +89,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
         .map(PathBuf::from);
     let (mut here, mut absent) = (Vec::new(), Vec::new());
     for word in &words {
+        // Only the recording's own file must exist; what follows it in the word is a modification.
         let base = ModifiedName::in_word(word).map_or(*word, |(base, _)| base);
         match data
             .as_ref()

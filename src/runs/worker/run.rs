@@ -247,6 +247,7 @@ fn record(
     } = task;
     let started_s = now_s();
     let outcome = scenario.map_err(str::to_owned).and_then(|scenario| {
+        // One simulation that panics must not end the others of the run.
         catch_panic(|| simulate_task(scenario, *planner, *challenge, parts, on_iteration))
     });
     let opened = scenario.ok();

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 /// First seed of the scenes; no training or test scene has such a seed.
 const FIRST_SEED: u64 = 900_000_000;
+/// Number of seeds from the first on.
 const SEEDS: u64 = 1_000_000;
 /// Maximum number of seeds that are tried: the generator finds no scene for some.
 const MAX_TRIES: u64 = 20;

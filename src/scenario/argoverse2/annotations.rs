@@ -93,6 +93,7 @@ impl Annotations {
             let Meaning::Object(kind) = rows.kinds[row] else {
                 continue;
             };
+            // `sweeps_ns` are the table's own times, so the search finds every row's exactly.
             let sweep = sweeps_ns.partition_point(|&time| time < rows.times_ns[row]);
             let place = egos[sweep] * rows.boxes[row];
             let center = Point::new(

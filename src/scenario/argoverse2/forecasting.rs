@@ -83,6 +83,8 @@ impl Tracks {
         ];
         let [east, north] = [speeds(table, "velocity_x")?, speeds(table, "velocity_y")?];
         let poses = (0..x.len()).map(|row| Pose::new(x[row], y[row], wrap_angle(heading[row])));
+        // A column at a time: Parquet stores columns, and a missing one is named before any row is
+        // read.
         Ok(Self {
             steps: steps(table)?,
             ids: table.words("track_id")?,
@@ -200,6 +202,8 @@ fn objects(
     count: usize,
     origin: Vector,
 ) -> Result<Vec<Vec<TrackedObject>>, LogFault> {
+    // Tracks are numbered in the order of their names, so a token does not depend on the order of
+    // rows.
     let mut rows: BTreeMap<&str, BTreeMap<usize, usize>> = BTreeMap::new();
     for (row, track) in tracks
         .ids

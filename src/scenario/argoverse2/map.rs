@@ -54,6 +54,8 @@ pub(super) fn lane_map(file: &MapFile, city: &str, origin: Vector) -> Result<Lan
     let connector: Vec<bool> = lanes.iter().map(|lane| lane.flagged).collect();
     separate(&mut areas, &connector);
     let clusters = clusters(&lanes, &connector, &crossings(&lanes));
+    // Argoverse flags the lanes of intersections itself, so each cluster is one, also without a
+    // crossing.
     let clusters: Vec<Cluster> = clusters
         .into_iter()
         .map(|cluster| Cluster {
@@ -144,6 +146,8 @@ fn recorded_lanes(lines: Vec<(&LaneSegment, Trace)>, links: &Places<'_>) -> Vec<
             }
         });
     let mut lanes: Vec<RecordedLane> = lanes.collect();
+    // After all lanes exist: whether a neighbor goes in the same direction is read off its own
+    // trace.
     let along: Vec<Sides<Vec<Beside>>> = lanes
         .iter()
         .map(|lane| {

@@ -16,6 +16,7 @@ use crate::recording::window::{self, Recording, step_times};
 use crate::{Contents, Scenario};
 use planagent_world::geometry::{Pose, Vector};
 
+/// The dataset's times are in nanoseconds.
 const NANOS_PER_SECOND: f64 = 1e9;
 
 pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argoverse2Error> {

@@ -18,6 +18,8 @@
 use super::traffic::{DriverProfile, LaneCommand, Mover, Steering, Traffic};
 use planagent_world::geometry::wrap_angle;
 
+/// How the expert drives, in the units of [`DriverProfile`]: values of ours, within nuPlan's bounds
+/// of comfort.
 pub(crate) const EXPERT: DriverProfile = DriverProfile {
     speed_factor: 0.97,
     min_gap: 2.0,

@@ -109,6 +109,7 @@ impl SeededRng {
 
     /// A number in [0, 1).
     pub fn unit(&mut self) -> f64 {
+        /// Numbers in [0, 1) that the 53 bits of an f64 tell apart.
         const STEPS: f64 = (1u64 << 53) as f64;
         (self.next_u64() >> 11) as f64 / STEPS
     }

@@ -118,6 +118,8 @@ impl FromStr for Spec {
         let wide = named
             .and_then(|rest| rest.strip_prefix(WIDE))
             .and_then(|rest| rest.strip_prefix('/'));
+        // Where the prefix is missing, the first part fails the match below, so one error covers
+        // all forms.
         let mut parts = std::iter::once(SOURCE)
             .filter(|_| named.is_some())
             .chain(wide.or(named).unwrap_or(id).split('/'));

@@ -21,6 +21,7 @@ impl Density {
     }
 }
 
+/// Smallest gap from front to front, meters.
 const MIN_GAP: u64 = 10;
 /// A place this near to the ego becomes the ego's, meters.
 const NEAR_EGO: f64 = 10.0;

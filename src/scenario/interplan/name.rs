@@ -86,6 +86,7 @@ impl InterPlanName {
                 'o' => name.observation = Some(value),
                 's' => {
                     let mut number = value.to_string();
+                    // A special scene's number has one digit or two, and nothing marks its end.
                     if let Some(second) = chars.get(at).filter(|second| second.is_ascii_digit()) {
                         number.push(*second);
                         at += 1;

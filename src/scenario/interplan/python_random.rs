@@ -4,6 +4,7 @@
 use sha2::{Digest, Sha512};
 use std::f64::consts::TAU;
 
+/// Words of the state, and the distance between two that are combined: n and m of MT19937.
 const WORDS: usize = 624;
 const SHIFT: usize = 397;
 
@@ -38,6 +39,8 @@ impl PythonRandom {
 
     fn by_array(key: &[u32]) -> Self {
         let mut state = [0u32; WORDS];
+        // The constants are those of `init_by_array` in Matsumoto and Nishimura's mt19937ar.c,
+        // which CPython uses.
         state[0] = 19_650_218;
         for i in 1..WORDS {
             state[i] = 1_812_433_253u32

@@ -39,6 +39,7 @@ impl Draws {
 
     /// A number in [0, 1).
     fn unit(&mut self) -> f64 {
+        /// Numbers in [0, 1) that the 53 bits of an f64 tell apart.
         const STEPS: f64 = (1u64 << 53) as f64;
         (self.source.next_u64() >> 11) as f64 / STEPS
     }

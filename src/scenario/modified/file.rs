@@ -79,6 +79,8 @@ impl Modification {
             place: place.to_owned(),
             fault,
         };
+        // The name becomes part of a scenario's word and of file names, which allow these letters
+        // only.
         let name = head.name.unwrap_or_else(|| stem.to_owned());
         let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if name.is_empty() || !name.chars().all(fits) {

@@ -129,6 +129,7 @@ fn set_ego(draft: &mut Draft) {
             frame.ego = EgoState::from_log(frame.ego.time_us, rear_axle, velocity, Vector::zeros());
         }
     }
+    // The log's driver did not go to this goal, so a steady drive there takes the expert's place.
     let Some(goal) = &draft.goal else { return };
     let steps = draft.scenario.iterations() - 1;
     let speed = goal.length / (steps as f64 * STEP_S);

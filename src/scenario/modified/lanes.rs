@@ -41,6 +41,8 @@ impl fmt::Display for LanePlace {
 
 impl<'de> Deserialize<'de> for LanePlace {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        // A visitor of our own, because serde's untagged enums lose the reason why a value is
+        // refused.
         struct Reader;
 
         impl de::Visitor<'_> for Reader {
@@ -218,6 +220,7 @@ pub(super) fn whole_lanes(
             .take_while(|&lane| !map[lane].has_traffic_lights);
         before_lights.min_by(|a, b| bend(a).total_cmp(&bend(b)))
     };
+    // `seen` ends the walk where lanes form a ring.
     let (mut line, mut seen) = (map[lane].centerline.clone(), BTreeSet::from([lane]));
     let mut last = lane;
     while line.length() - line.project(point).s < reach {
@@ -256,6 +259,7 @@ pub(super) fn through(
             .min_by(|a, b| bend(a).total_cmp(&bend(b)))
     };
     let mut line = map[lane].centerline.clone();
+    // A ring of lanes would never end the walks below.
     let mut seen = BTreeSet::from([lane]);
     let mut first = lane;
     while line.project(point).s < behind {

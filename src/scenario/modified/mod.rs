@@ -66,6 +66,7 @@ fn modified(
     let seeds = [modification.seed, seed];
     let draws = Draws::new(&id, &modification.drawn_by, seeds);
     let mut draft = Draft::new(base, lanes, draws);
+    // In the file's order: a change builds on those before it, and all draw from one stream.
     for change in &modification.changes {
         change
             .change

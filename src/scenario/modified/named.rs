@@ -64,6 +64,7 @@ fn fill(draft: &mut Draft, density: Density) {
         .map(|object| (object.shape.length, object.shape.width))
         .collect();
     let mut random = PythonRandom::seeded(&draft.scenario.id);
+    // interPlan shuffles the sizes before it fills the rows, and both draw from one stream.
     let order = random.permutation(sizes.len());
     sizes = order
         .into_iter()
@@ -185,6 +186,7 @@ fn chain(map: &LaneMap, start: LaneId, goal: LaneId, depth: usize) -> Option<Vec
             found = Some(lane);
             break;
         }
+        // Breadth first, so the first lane found beside the goal is the nearest.
         if map[lane].roadblock == map[goal].roadblock {
             beside = beside.or(Some(lane));
         }

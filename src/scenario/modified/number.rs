@@ -74,6 +74,7 @@ impl fmt::Display for Number {
 
 impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        // A visitor, because serde's untagged enums would only say that no variant fits.
         struct Reader;
 
         impl<'de> Visitor<'de> for Reader {

@@ -171,6 +171,7 @@ fn hidden(lane: i32, outer: f64, is_closed: bool) -> String {
 const EDGE: f64 = 1.73;
 
 fn taper(lane: i32, outer: f64, is_closed: bool) -> String {
+    /// Where a closing taper ends, meters from the centerline: across the ego's strip.
     const ACROSS: f64 = -0.3;
     let (from, to) = (outer * EDGE, outer * if is_closed { ACROSS } else { EDGE });
     format!(
@@ -181,6 +182,8 @@ fn taper(lane: i32, outer: f64, is_closed: bool) -> String {
 
 /// Walkers on the kerb are on the lane's node, and the text does not tell to which side they cross.
 fn person(lane: i32, outer: f64, is_closed: bool) -> String {
+    /// Places of a walker, meters from the centerline: on the kerb, in the lane, away from the
+    /// road.
     const KERB: f64 = 2.7;
     const IN_LANE: f64 = -0.3;
     const AWAY: f64 = 7.0;
@@ -193,6 +196,7 @@ fn person(lane: i32, outer: f64, is_closed: bool) -> String {
 
 /// The vehicle stops across its lane and leaves the other one free.
 fn cross_traffic(lane: i32, outer: f64, is_closed: bool) -> String {
+    /// Places of the crossing vehicle, meters from the centerline: beside the road, in the lane.
     const BESIDE_ROAD: f64 = 8.5;
     const IN_LANE: f64 = 0.8;
     let (from, to) = (outer * BESIDE_ROAD, outer * IN_LANE);

@@ -227,6 +227,8 @@ impl Fields {
         let scenario_tokens = list("scenario_tokens", self.scenario_tokens)?
             .map(distinct)
             .transpose()?;
+        // Listed tokens are what published splits consist of; then a file that cannot be followed
+        // changes nothing.
         for Reference { line, key, target } in references {
             if scenario_tokens.is_none() {
                 return Err((line, FilterFault::Reference { key, target }));

@@ -83,6 +83,7 @@ pub(super) fn apply(
             }
         }
     }
+    // By token and not by type, so that the same scenarios have one order, however they were found.
     kept.sort_by_key(|one| one.token);
     if let Some(rng) = &mut rng {
         kept.shuffle(rng);

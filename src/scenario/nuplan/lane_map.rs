@@ -77,6 +77,7 @@ pub(super) fn read(
         layers.epsg, origin.x, origin.y
     );
     let ids = Ids::from_layers(path, &layers)?;
+    // Connectors follow the lanes, because `Ids` numbers them so.
     let mut lanes = ids.lanes(&mut layers)?;
     lanes.extend(ids.connectors(&mut layers)?);
     let open_ends = ids.link(&layers, &mut lanes);
@@ -232,6 +233,7 @@ impl<'a> Ids<'a> {
                     },
                 )
             };
+            // Shapes are moved out: each belongs to one connector, and a city's map is large.
             let centerline = connector_baselines
                 .remove(&row.fid)
                 .ok_or_else(|| missing("its baseline path", "baseline_paths"))?;
@@ -338,6 +340,7 @@ impl<'a> Ids<'a> {
                 .filter_map(|fid| self.connectors.get(fid))
             {
                 let lane = &mut lanes[connector.index()];
+                // Where both stand, the light regulates; a sign would stop the ego at green.
                 if !lane.has_traffic_lights {
                     lane.stop_lines.push(StopLineId(place as u32));
                 }
@@ -384,6 +387,7 @@ impl<'a> Ids<'a> {
         let mut blocks: Vec<Roadblock> = groups.map(block(LaneKind::Lane)).collect();
         blocks.extend(connecting.map(block(LaneKind::Connector)));
         for (n, (from, to)) in joints.into_iter().enumerate() {
+            // A link to a group that the map lacks is left out, as open ends of connectors are.
             let connector = RoadblockId((count + n) as u32);
             if let Some(&from) = self.lane_groups.get(&from) {
                 blocks[from.index()].outgoing.push(connector);

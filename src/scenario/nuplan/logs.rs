@@ -111,6 +111,7 @@ impl Logs {
         let mut files = Vec::new();
         let mut notes = Vec::new();
         walk(path, MAX_FOLDER_DEPTH, &mut files, &mut notes)?;
+        // Folders list files in any order; sorted, the copy that counts is always the same.
         files.sort();
         let mut others = Vec::new();
         files.retain(|file| match other_kind(file) {

@@ -41,6 +41,7 @@ pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanErro
         .chain(rows.iterations())
         .map(|sweep| reader.frame(sweep));
     let mut frames: Vec<Frame> = frames.collect::<Result<_, _>>()?;
+    // Over all frames at once, because a missing velocity comes from the frames before and after.
     maps.count_without_velocity(&found.log.path, velocity::derive_missing(&mut frames));
     Ok(Scenario {
         frames,

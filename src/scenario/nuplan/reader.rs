@@ -159,6 +159,8 @@ impl NuPlanReader {
         let (others, unreadable): (Vec<_>, Vec<_>) = unreadable
             .into_iter()
             .partition(|unreadable| unreadable.log.is_another_database());
+        // A folder may hold databases of other programs: a note is enough for them, a broken log is
+        // an error.
         let others: Vec<String> = others.into_iter().map(|other| other.cause).collect();
         self.note(passed_over(&others));
         references.extend(unreadable.into_iter().map(unreadable_reference));

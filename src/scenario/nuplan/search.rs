@@ -176,6 +176,8 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
         let tag = tags.get(&candidate.token);
         let map_name = maps.get(&candidate.lidar);
         let scene = candidate.scene.and_then(|scene| scenes.get(&scene));
+        // One chain in the devkit's order, so that each row is counted under the first rule that
+        // excludes it.
         let exclusion = if !named {
             Some(Exclusion::OtherLog)
         } else if !scene.is_some_and(|scene| scene.is_valid) || map_name.is_none() {
@@ -226,6 +228,7 @@ fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candid
         Ok(())
     };
     match &filter.scenario_tokens {
+        // Without an index, a query per token would read the whole table each time.
         Some(tokens) if database.is_indexed(LIDAR_PC.name, "token")? => {
             for token in tokens {
                 database.each(LIDAR_PC, "WHERE token = ?1", [token], &mut take)?;

@@ -108,6 +108,7 @@ impl SideIndices {
                 })
             }
             Err(IndexError::Log(error)) => Err(error),
+            // A read-only cache must not stop a simulation; it only makes it slower.
             Err(IndexError::Cache(reason)) => {
                 remember(log, &missing, times)?;
                 Ok(LogIndex {

@@ -237,6 +237,8 @@ impl PublishedSplit {
         };
         let file = FilterFile::open(&path)?;
         let tokens = file.filter.scenario_tokens.as_deref().unwrap_or_default();
+        // A note and no error: a list of the user's own may run under this name, but does not
+        // compare.
         let note = (!self.is_published(tokens)).then(|| {
             format!(
                 "{}: not the published list {}: {} tokens instead of {}, or others; results do not compare",

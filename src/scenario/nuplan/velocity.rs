@@ -30,6 +30,7 @@ pub(super) fn derive_missing(frames: &mut [Frame]) -> usize {
         .filter(|object| is_missing(&object.velocity))
         .map(|object| object.token)
         .collect();
+    // Most logs lack none, and then no object is copied.
     if tracks.is_empty() {
         return 0;
     }

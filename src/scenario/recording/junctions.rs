@@ -80,6 +80,7 @@ pub(crate) fn clusters(
         });
     for (a, b) in crossings.iter().copied().chain(siblings) {
         let (a, b) = (find(&mut root, a), find(&mut root, b));
+        // The smallest member is the root, which gives clusters the order of their first connector.
         root[a.max(b)] = a.min(b);
     }
     let mut clusters: BTreeMap<usize, Vec<usize>> = BTreeMap::new();

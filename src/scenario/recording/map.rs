@@ -49,6 +49,7 @@ pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
             .map(|&place| LaneId(place as u32))
             .collect::<Vec<_>>()
     };
+    // Ids are places in `recorded`, since no lane is left out here.
     let lanes = recorded
         .iter()
         .zip(areas)

@@ -25,6 +25,7 @@ pub(crate) fn roadblocks(
 ) -> (Vec<Roadblock>, Vec<RoadblockId>) {
     let mut groups = lane_groups(lanes, connector);
     let mut block_of: Vec<usize> = vec![usize::MAX; lanes.len()];
+    // Connectors are grouped by the blocks that they join, so those of lanes come first.
     mark(&groups, &mut block_of);
     groups.extend(connector_groups(lanes, connector, &block_of));
     mark(&groups, &mut block_of);
@@ -94,6 +95,7 @@ fn lane_groups(lanes: &[RecordedLane], connector: &[bool]) -> Vec<Vec<usize>> {
             }
         }
     }
+    // Ties by place, so that the groups do not depend on the sort.
     beside.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     let mut group_of: Vec<usize> = (0..lanes.len()).collect();
     let mut members: Vec<Vec<usize>> = (0..lanes.len()).map(|lane| vec![lane]).collect();
@@ -157,6 +159,8 @@ fn connector_groups(
                 .collect::<Vec<_>>()
         };
         if lane.entries.is_empty() || lane.exits.is_empty() {
+            // An open end says nothing about where a connector leads, so it shares a block with no
+            // other.
             loose.push(vec![place]);
         } else {
             groups

@@ -115,6 +115,8 @@ fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
 
 /// The best chain of lanes, one per sample. Samples without a lane in reach are skipped.
 fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
+    // One function, since both passes of the Viterbi search read these layers and nothing else
+    // does.
     struct Layer {
         at: Point,
         candidates: Vec<Candidate>,
@@ -195,6 +197,7 @@ fn step_cost(map: &LaneMap, before: Candidate, after: Candidate, moved: f64) -> 
 /// The shortest chain of lanes between two, at most four lanes and `spare` meters; empty if one
 /// leads to the other.
 fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
+    /// Lanes that a step between two samples may skip.
     const MAX_BETWEEN: usize = 4;
     if map[from].outgoing.contains(&to) {
         return (spare >= 0.0).then(Vec::new);
@@ -222,6 +225,7 @@ fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<
 /// The shortest chain of roadblocks between two, at most six; empty if the graph does not join
 /// them.
 fn blocks_between(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
+    /// Roadblocks without a sample that may follow one another.
     const MAX_BETWEEN: usize = 6;
     let mut parent: BTreeMap<RoadblockId, RoadblockId> = BTreeMap::new();
     let mut level = BTreeSet::from([from]);

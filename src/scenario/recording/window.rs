@@ -129,6 +129,7 @@ impl Recording {
         let lights = self
             .lights
             .into_iter()
+            // A source without lights gives none, and `zip` would then drop every frame.
             .chain(std::iter::repeat(Arc::default()));
         let frames = self
             .egos

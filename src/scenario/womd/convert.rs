@@ -45,6 +45,7 @@ pub(super) fn scenario(recording: &proto::Scenario, log_name: &str) -> Result<Sc
         &recording.dynamic_map_states,
         origin,
     )?;
+    // Objects after the window would be converted and then dropped.
     let steps = window(&times_us).end;
     let recording = Recording {
         id: recording.scenario_id.clone(),

@@ -43,6 +43,7 @@ pub(super) fn beside_lanes(
         .collect();
     let strips = map.lanes.iter().enumerate().flat_map(|(place, lane)| {
         let hull = hull_of.get(&place).copied();
+        // The last lane on the ray and not the first: the road goes on to the outermost lane.
         let other_lane = |ray: &Ray| centerlines.last_hit(ray, |other| other.owner != place);
         Strip::measured(lane, |side, s| {
             width_of_road(lane, side, s, &edges, other_lane, hull)

@@ -74,6 +74,7 @@ impl Strip {
                 .iter()
                 .chain(right[from..=to].iter().rev())
                 .copied();
+            // Borders that run backwards cross themselves and are no polygon; their hull is one.
             let piece = if folded[from] {
                 Polygon::convex_hull(&ring.collect::<Vec<_>>())
             } else {

@@ -123,6 +123,7 @@ pub(super) fn stop_lines(
     let mut lines: Vec<(Pose, StopLine)> = Vec::new();
     for (stop_sign, lane) in wanted.into_iter().filter(|&(_, lane)| connector[lane]) {
         let at = map.lanes[lane].trace.line.pose_at(0.0);
+        // Connectors that fork from one lane begin at one place, where there is one line.
         match lines
             .iter_mut()
             .find(|(pose, line)| line.stop_sign == stop_sign && same_place(*pose, at))

@@ -72,6 +72,8 @@ pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRo
                 .collect();
             types.push(type_row(scenario_type, &of_type, &columns));
         }
+        // The final score is the mean over types, weighted by their scenarios, as nuPlan computes
+        // it.
         let last = final_row(planner, scenarios.len(), &types, &columns);
         table.extend(scenarios);
         table.extend(types);

@@ -26,7 +26,12 @@ pub fn is_behind(rear_axle: Pose, point: Point) -> bool {
 
 /// nuPlan's overlap test: centers nearer than half the sum of the diagonals, and shapes that share
 /// a point.
+#[inline]
 pub(crate) fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
+    // Most pairs are far apart: they pay for no diagonal.
+    if !a.may_overlap(b) {
+        return false;
+    }
     let reach = f64::midpoint(a.diagonal(), b.diagonal());
     (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)
 }

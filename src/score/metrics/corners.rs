@@ -112,6 +112,7 @@ fn agreement(map: &LaneMap, corners: &CornerLanes) -> CornerAgreement {
     if !rears_meet {
         return CornerAgreement::Split;
     }
+    // As in the devkit: a lane connects the corners only where both diagonals pass over it.
     let one: BTreeSet<LaneId> = with_before(&fl)
         .intersection(&with_next(&rr))
         .copied()

@@ -65,6 +65,7 @@ pub fn find_lane_changes(
             _ => {}
         }
     }
+    // A change that the end of the simulation cuts off counts as failed.
     if let (Some((start_us, _)), Some(last)) = (open, states.last()) {
         found.push(LaneChange {
             start_us,
@@ -81,6 +82,7 @@ pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) 
     let changes = find_lane_changes(map, states, &lanes.agreement);
     let mut statistics = vec![Statistic::count(format!("number_of_{NAME}"), changes.len())];
     let mut acceptable = true;
+    // Without a lane change there is no duration to average, so these statistics are absent.
     if !changes.is_empty() {
         let seconds: Vec<f64> = changes
             .iter()

@@ -114,6 +114,8 @@ fn approaches(map: &LaneMap, samples: &[HistorySample]) -> Vec<Approach> {
         if !shape.polygon.meets_line(&front) || has_lead_agent(map, sample) {
             continue;
         }
+        // nuPlan's stop polygon begins with the edge that vehicles stop at; the distance is to that
+        // edge.
         let Ok(line) = Polyline::new(shape.polygon.ring().iter().copied().take(2)) else {
             continue;
         };

@@ -85,6 +85,7 @@ pub fn compare_with_expert(
         errors: Vec::new(),
     };
     for (second, &frame) in frames.iter().enumerate() {
+        // Later seconds reach even farther beyond the recording, so the loop ends here.
         let Some(ahead) = recorded.get(second..=second + FARTHEST_S) else {
             break;
         };

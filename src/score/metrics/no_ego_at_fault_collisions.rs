@@ -42,6 +42,7 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
             energies.len(),
         ));
     }
+    // Groups without a collision have no energies: their extremes would be infinite.
     for (group, energies) in by_group.iter().filter(|(_, energies)| !energies.is_empty()) {
         let of = |kind, prefix: &str, value| {
             let name = format!("{prefix}_collision_energy_with_{}", group.as_str());

@@ -176,6 +176,7 @@ fn mean_within(
         .iter()
         .map(|of_frame| mean(of_frame.iter().map(read)))
         .collect();
+    // Every frame has the same horizons, so the mean of all errors is that of the frames' means.
     let overall = mean(errors.errors.iter().flatten().map(read));
     let averaged = format!("avg_{short}_over_all_horizons");
     statistics.push(Statistic::boolean(spec.name, overall <= threshold));

@@ -108,6 +108,7 @@ impl Score {
                 .iter()
                 .find(|r| r.name == spec.name)
                 .and_then(|r| r.score);
+            // A missing metric is an error: a score without it would not compare with others.
             let score = score.ok_or(MetricError::NoScore(spec.name))?;
             Ok(ScorePart {
                 name: spec.name,

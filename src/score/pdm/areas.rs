@@ -156,6 +156,8 @@ impl<'a> DrivableMap<'a> {
         center: Point,
         layers: DrivableLayers,
     ) -> Self {
+        // By way of roadblocks, because upstream takes all lanes of one, also those outside the
+        // square.
         let blocks: BTreeSet<_> = map
             .lanes_near(center, MAP_RADIUS)
             .into_iter()

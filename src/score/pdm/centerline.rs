@@ -42,6 +42,7 @@ pub fn lane_chain(
         depth: 1,
     }];
     let mut expanded: Vec<Reached> = Vec::new();
+    // A list and not a heap: of equal costs the one reached first must win. The search is short.
     while let Some(place) = cheapest(&frontier) {
         let at = frontier.remove(place);
         if Some(&map[at.lane].roadblock) == goal {

@@ -204,6 +204,7 @@ pub fn plan_tuned(
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
     } else {
+        // Only the best proposal is rolled out to the trajectory's end; scores need fewer steps.
         let poses = proposals
             .continued(best, TRAJECTORY_STEPS)
             .iter()
@@ -271,6 +272,7 @@ pub fn plan_among(
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
     let brake =
         parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    // A proposal continues on its own path, so its place among all becomes a set and a place there.
     let (mut set, mut place) = (0, best);
     while place >= sets[set].all().len() {
         place -= sets[set].all().len();

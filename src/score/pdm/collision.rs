@@ -128,6 +128,8 @@ pub(super) fn approach(
                         state: Some(i),
                     };
                 }
+                // As upstream: an object whose first touch is not the ego's fault is ignored from
+                // then on.
                 ignored.push(track.token);
             }
         }

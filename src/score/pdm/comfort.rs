@@ -73,6 +73,7 @@ impl Filters {
             of(|s| s.acceleration.x),
             unwrap_angles(&of(|s| s.rear_axle.heading)),
         );
+        // Filters take most of the time; `&&` skips those after the first bound that is exceeded.
         holds(
             ComfortQuantity::LonAcceleration,
             &self.smooth.apply(&forward, step),
@@ -127,6 +128,7 @@ impl Filter {
 
     /// The filtered signal, sampled every `step` seconds, rounded to 8 decimals as nuPlan rounds.
     fn apply(&self, values: &[f64], step: f64) -> Vec<f64> {
+        /// 8 decimals.
         const SCALE: f64 = 1e8;
         let unit = step.powi(self.derivative);
         let output = |(first, weights): &(usize, Vec<f64>)| {

@@ -85,6 +85,8 @@ pub fn starting_block(
                 .map(|least| (block.id, least)),
         );
     }
+    // Three lists and not one order: all of the list that decides are candidates for the route's
+    // repair.
     let ranked = [on_route, off_route, all]
         .into_iter()
         .find(|list| !list.is_empty())?;

@@ -194,6 +194,8 @@ impl Forecast {
                     .map(ForecastObject::new),
             );
         }
+        // After the caps, as upstream: what the ego touches has taken the place of a farther
+        // object.
         let touched = kept
             .iter()
             .map(|o| o.track)

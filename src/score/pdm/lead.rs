@@ -149,6 +149,7 @@ impl<'a> PathTraffic<'a> {
         let mut nearest: Option<(f64, &Obstacle<'_>)> = None;
         for Blocking { obstacle, .. } in blocking.iter().filter(|b| b.progress > progress) {
             let known = nearest.map_or(f64::INFINITY, |(distance, _)| distance);
+            // The exact distance of two boxes is slow; a lower bound rules out most obstacles.
             if obstacle.min_distance(center, reach) <= known {
                 let distance = obstacle.distance(&ego);
                 if distance < known {

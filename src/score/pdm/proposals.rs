@@ -112,6 +112,7 @@ impl<'a> Proposals<'a> {
             parameters,
             rolled_out: all.map(begun).collect(),
         };
+        // Path by path, because the proposals of a path share the record of their lead.
         for batch in 0..paths.len() {
             let members = batch * SPEED_FRACTIONS.len()..(batch + 1) * SPEED_FRACTIONS.len();
             for step in 1..=steps {
@@ -159,6 +160,8 @@ impl<'a> Proposals<'a> {
         } else {
             Vec::new()
         };
+        // One record outside the loop: what a lookup leaves unset is the proposal's before, as
+        // upstream.
         let mut shared = LeadState::default();
         for proposal in &mut self.rolled_out[members] {
             let last = proposal.states.len() - 1;

@@ -45,6 +45,7 @@ fn begun_at(map: &LaneMap, route: Vec<RoadblockId>, rear_axle: Pose) -> Vec<Road
         SearchDirection::Backward,
         MAX_DEPTH_BACKWARD,
     ) {
+        // The chain ends with the first roadblock of the route, which would stand twice.
         chain.pop();
         return [chain, route].concat();
     }

@@ -204,6 +204,8 @@ fn judge(
     let collisions = collide(proposal, &around.encounters);
     let ttc = approach(scene.drivable.map(), proposal, &around.encounters);
     let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
+    // Progress counts relative to the best proposal, which the caller knows. It sets `total` and
+    // `progress`.
     Ok(ProposalScore {
         total: 0.0,
         no_at_fault_collisions: collisions.score,

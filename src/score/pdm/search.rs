@@ -42,6 +42,7 @@ pub fn roadblock_chain(
     };
     let mut parents: Vec<BTreeMap<RoadblockId, RoadblockId>> = Vec::new();
     for _ in 0..max_depth {
+        // Before the next level is built, so that a start among the targets is a chain of one.
         if let Some(&goal) = level.by_first.iter().find(|block| targets.contains(block)) {
             let mut chain = vec![goal];
             for parent in parents.iter().rev() {

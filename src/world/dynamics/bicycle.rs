@@ -33,6 +33,8 @@ pub fn advance(ego: &EgoState, command: Command, dt_us: i64) -> EgoState {
         + dt / (dt + ACCELERATION_LAG) * (command.acceleration - ego.acceleration.x);
     let ideal_steering = steering + dt * command.steering_rate;
     let lagged_steering = steering + dt / (dt + STEERING_LAG) * (ideal_steering - steering);
+    // The lagged angle becomes a rate and then an angle again, as in nuPlan, so that rounding is
+    // the same.
     let steering_rate = (lagged_steering - steering) / dt;
 
     let Pose { x, y, heading } = ego.rear_axle;

@@ -34,6 +34,7 @@ impl ProgressPath {
         if kept.len() == 2 && first.distance(last) <= COINCIDENT {
             return None;
         }
+        // Poses between two are interpolated linearly, which only continuous headings allow.
         let headings = unwrap_angles(&kept.iter().map(|pose| pose.heading).collect::<Vec<_>>());
         let mut travelled = 0.0;
         let steps = kept.windows(2).map(|w| w[0].distance(&w[1]));

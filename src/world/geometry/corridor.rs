@@ -33,6 +33,8 @@ impl Corridor {
                 OrientedBox::new(center, along.norm(), 2.0 * half_width)
             })
             .collect();
+        // Boxes leave a wedge open outside a bend. Only bends that are sharp enough to show it are
+        // closed.
         let turns = |pair: &[OrientedBox]| {
             wrap_angle(pair[1].center.heading - pair[0].center.heading).abs()
         };

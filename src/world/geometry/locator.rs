@@ -4,6 +4,7 @@ use super::{Bounds, Point, Polygon};
 
 /// Mean number of edges per slab.
 const EDGES_PER_SLAB: usize = 4;
+/// Maximum number of slabs, which bounds the memory of a locator.
 const MAX_SLABS: usize = 64;
 
 /// A polygon whose edges are sorted into horizontal slabs, so that a query compares a point only
@@ -48,6 +49,7 @@ impl<'a> PointLocator<'a> {
                     .skip(polygon.ring().len() - 1),
             )
         };
+        // A counting sort: the edges of a slab lie side by side, in one allocation for all slabs.
         let mut starts = vec![0; count + 1];
         for slab in outline().flat_map(|(end, start)| slabs(start, end)) {
             starts[slab + 1] += 1;

@@ -82,13 +82,19 @@ impl OrientedBox {
         )
     }
 
+    /// Whether the circles around two boxes are so near that the boxes may share a point.
+    #[inline]
+    pub fn may_overlap(&self, other: &Self) -> bool {
+        // (a + b)² ≤ 2·(a² + b²) spares the square roots of the diagonals.
+        let squared = |shape: &Self| shape.length * shape.length + shape.width * shape.width;
+        let most = f64::midpoint(squared(self), squared(other));
+        (self.center.position() - other.center.position()).norm_squared() <= most
+    }
+
     /// Whether two boxes share a point; touching counts.
     #[inline]
     pub fn overlaps(&self, other: &Self) -> bool {
-        // The circles around the boxes: (a + b)² ≤ 2·(a² + b²) spares their square roots.
-        let squared = |shape: &Self| shape.length * shape.length + shape.width * shape.width;
-        let most = f64::midpoint(squared(self), squared(other));
-        if (self.center.position() - other.center.position()).norm_squared() > most {
+        if !self.may_overlap(other) {
             return false;
         }
         let ((a_at, a), (b_at, b)) = (self.shape(), other.shape());

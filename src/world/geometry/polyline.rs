@@ -269,6 +269,7 @@ impl Polyline {
     /// Signed curvature (1/m, positive when turning left) of the circle through three points around
     /// `s`, 2 m apart where the line is long enough (nuPlan `get_curvature_at_arc_length`).
     pub fn curvature_at(&self, s: f64) -> f64 {
+        /// Meters.
         const SPACING: f64 = 2.0;
         let length = self.length();
         let (a, b, c) = if length < 2.0 * SPACING {

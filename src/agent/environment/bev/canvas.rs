@@ -134,6 +134,7 @@ impl Canvas {
             let line = self.pixels(line);
             let mut drawing = false;
             for pair in line.windows(2) {
+                // A long line far outside takes time and gives pixels that nobody sees.
                 if !self.may_show(pair[0], pair[1]) {
                     drawing = false;
                     continue;

@@ -6,6 +6,7 @@ use planagent_world::ObjectKind;
 /// A color: red, green, blue.
 pub type Rgb = [u8; 3];
 
+/// Where no element is drawn.
 pub const BACKGROUND: Rgb = [255, 255, 255];
 /// The speed arrow of a moving agent: the paper's red, which no element shares.
 pub(crate) const ARROW: Rgb = [230, 0, 0];

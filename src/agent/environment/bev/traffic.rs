@@ -38,6 +38,7 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
         .iter()
         .filter(|object| may_show(canvas, object))
         .collect();
+    // Overlapping objects are drawn in a fixed order, so that a scene always has the same picture.
     objects.sort_by_key(|object| object.token);
     for element in ORDER {
         let drawn: Vec<&TrackedObject> = objects

@@ -152,6 +152,7 @@ impl EgoFacts {
             let (from, to) = (past(step + 1)?, past(step)?);
             Some((to.0 - from.0, to.1 - from.1))
         };
+        // Per half second squared, as in the original; zero where the past is too short.
         let change = moved(0).zip(moved(1)).map_or((0.0, 0.0), |(last, before)| {
             (last.0 - before.0, last.1 - before.1)
         });

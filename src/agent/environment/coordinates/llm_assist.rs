@@ -12,6 +12,7 @@ use std::fmt::Write;
 
 /// Farther objects are left out, meters: PDM-Closed's reach.
 const REACH: f64 = 50.0;
+/// Objects that are listed, the nearest first: a choice of ours, as the paper names no number.
 const MAX_OBJECTS: usize = 10;
 /// Points of a centerline in the text.
 const POINTS: usize = 5;
@@ -52,6 +53,7 @@ pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
         .map(|o| (o.shape.center.distance(&center), o))
         .collect();
     near.retain(|(distance, _)| *distance <= REACH);
+    // The nearest first, since the list ends where the prompt would grow too long.
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, object) in near.into_iter().take(MAX_OBJECTS) {
         let shape = &object.shape;

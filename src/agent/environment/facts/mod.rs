@@ -76,6 +76,7 @@ impl SceneFacts {
         let view = View {
             center: scene.ego.center(),
         };
+        // An unknown light counts as none: a model cannot see its state either.
         let light = match graph.ego_lane().light.map(|light| light.status) {
             Some(SignalStatus::Green) => Light::Green,
             Some(SignalStatus::Yellow) => Light::Yellow,

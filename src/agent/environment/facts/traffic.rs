@@ -51,6 +51,7 @@ pub(super) fn seen(seen: GraphedScene<'_>, view: View) -> Traffic {
         .filter_map(|&object| Some((object, window.as_ref()?.project(object)?)))
         .filter(|(_, relation)| relation.offset > 0.0)
         .collect();
+    // Every fact is the nearest object of some sort on the path, so one closure serves all.
     let nearest = |counts: &dyn Fn(&TrackedObject, &LaneRelation) -> bool| {
         let counted = ahead
             .iter()

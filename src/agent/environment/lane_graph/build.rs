@@ -37,6 +37,7 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     })?;
     let mut centerlines = centerlines(scene, lane, 2.0 * node_length);
     let nodes = nodes(scene.map, &centerlines, node_length);
+    // Names need all objects of all nodes, and lead agents need the names.
     let on_nodes = objects_on_nodes(scene.objects, &centerlines, &nodes, node_length);
     let agents = name(&on_nodes);
     for (place, centerline) in centerlines.iter_mut().enumerate() {
@@ -137,6 +138,7 @@ fn connection(
     if lane == ego_lane || apart < MERGED {
         return None;
     }
+    // Maps list neighbors along whole lanes; lanes of a junction run side by side unlisted.
     let listed = map[ego_lane]
         .left
         .iter()
@@ -175,6 +177,7 @@ fn objects_on_nodes<'a>(
     node_length: f64,
 ) -> Vec<NodeObject<'a>> {
     let [_, front, back] = node_starts(node_length);
+    // A window a centerline and not an object: cutting out the stretch is the slow part.
     let windows: Vec<Option<Window>> = centerlines
         .iter()
         .map(|centerline| Window::new(centerline, -back, front + node_length))

@@ -147,6 +147,7 @@ fn path_through(
         let Some(previous) = predecessor(map, route, first) else {
             break;
         };
+        // Lanes may form a ring, and a path meets each lane once.
         if before.contains(&previous) || onward.lanes.contains(&previous) {
             break;
         }

@@ -46,6 +46,8 @@ fn write_reduced(reduced: &Description) -> String {
                 || format!("{NOTHING} {NOTHING}"),
                 |(gap, speed)| format!("{gap} {speed}"),
             );
+            // One line whose words never move: a small model learns places more easily than
+            // sentences.
             format!(" {ONCOMING} {from} {to} {next}")
         },
     );

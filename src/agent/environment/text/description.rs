@@ -89,6 +89,8 @@ impl Description {
         let lights = std::array::from_fn(|i| {
             let name = CenterlineName::ALL[i];
             let light = graph.centerline(name)?.light?;
+            // The text names centerlines by their nodes, so a light without one would belong to
+            // nothing.
             let has_nodes = graph
                 .nodes
                 .iter()

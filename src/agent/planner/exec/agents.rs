@@ -97,6 +97,7 @@ pub fn moved(
             velocity: [east, north],
             ..
         } = *agent;
+        // NaN is within no limit, so this refuses it too.
         let within = |value: f64, limit: f64| value.abs() <= limit;
         let fits = [x, y, heading]
             .into_iter()

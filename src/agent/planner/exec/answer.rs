@@ -36,6 +36,7 @@ pub(super) fn beginning(line: &[u8]) -> String {
 }
 
 fn fault(line: &[u8]) -> String {
+    // From what is no text to what is nearly a message: each check relies on those before it.
     if line.is_empty() {
         return "an empty line; each line of stdout must be one JSON object, and all else goes to stderr"
             .to_owned();
@@ -141,6 +142,7 @@ fn shape_fault(value: Value) -> String {
             );
         }
     };
+    // Serde's error on the whole union names no field; the type of the message alone does.
     let problem = match named.as_str() {
         "trajectory" => field_fault::<States>(value),
         "agents" => field_fault::<Objects>(value),

@@ -182,6 +182,7 @@ impl<'a> Obstacles<'a> {
                 polygon.meets_box(ego)
                     || corridor.is_some_and(|corridor| corridor.meets_polygon(polygon))
             });
+        // A red light is a standing obstacle of the connector's size, as in nuPlan.
         let lights = polygons.map(|polygon| Lead {
             gap: polygon.distance_to_box(ego),
             speed: 0.0,

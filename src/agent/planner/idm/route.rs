@@ -54,6 +54,7 @@ impl Road {
         let mut parents: Vec<BTreeMap<LaneId, LaneId>> = Vec::new();
         let mut end = start;
         for at in 1..=depth {
+            // As in nuPlan, a goal that is reached earlier does not count.
             if at == depth
                 && let Some(&goal) = level.first_seen.iter().find(|&&lane| is_goal(lane))
             {

@@ -114,6 +114,8 @@ impl LlmAssist {
     ) -> Result<(), PlannerError> {
         let started = Instant::now();
         let at_s = self.clock.elapsed_s(scene.ego.time_us);
+        // Before the graph is built: a call without one counts as made, or it would be tried at
+        // every step.
         self.clock.set_called();
         let graph = match LaneGraph::build(scene, self.settings.environment.node_length_m) {
             Ok(graph) => graph,
@@ -211,6 +213,8 @@ impl LlmAssist {
             return Ok(Attempts::NONE);
         };
         let started = Instant::now();
+        // Over PDM-Closed's own horizon, so that an answer's score compares with τ as its proposals
+        // do.
         let judge = Judge::along(scene, path, PROPOSAL_STEPS as f64 * STEP_S, collided)?;
         let observation_ms = milliseconds(started.elapsed());
         let limits = AttemptLimits {

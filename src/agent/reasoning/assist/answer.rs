@@ -127,6 +127,7 @@ impl fmt::Display for Assistance {
                 decel_max,
                 emergency_brake,
             }) => {
+                // `SWITCH` has the word for on first.
                 let brake = SWITCH[usize::from(!emergency_brake)];
                 write!(
                     f,
@@ -202,6 +203,7 @@ pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint 
     let limit = limit.unwrap_or(FASTEST).max(1);
     let offered: Vec<Constraint> = match variant {
         AssistVariant::Unconstrained => {
+            // The grammar offers round values only; the parser reads all that lie between them too.
             let steps = (f64::from(GRAMMAR_LEFT) / GRAMMAR_LEFT_STEP) as i32;
             let left = any_of(
                 (-steps..=steps).map(|step| (f64::from(step) * GRAMMAR_LEFT_STEP).to_string()),

@@ -78,6 +78,8 @@ impl<'a> AssistReasoning<'a> {
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
+        // Each attempt begins at the same place, so that the prompt does not grow with the
+        // attempts.
         self.conversation.rewind(self.start);
         self.attempts += 1;
         let feedback = feedback

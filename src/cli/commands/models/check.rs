@@ -127,6 +127,7 @@ pub(super) fn reason(error: &MllmError, model: &str) -> String {
 }
 
 fn tell(row: &Row<'_>, printer: Printer) {
+    // A line and no error: the other models are still checked.
     let Some(check) = &row.check else {
         printer.line(format!(
             "{}: {}",

@@ -96,6 +96,7 @@ pub(super) fn run(markdown: bool, printer: Printer) -> anyhow::Result<Exit> {
         .iter()
         .map(Row::from_architecture)
         .collect();
+    // This output is docs/supported-models.md, so it does not depend on the width of a terminal.
     if markdown {
         for line in page(&rows).lines() {
             printer.line(line);

@@ -19,6 +19,7 @@ const USUAL: WeightFormat = WeightFormat::Q4K;
 const NOTE: &str = "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in \
     four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. `planagent bench MODEL` \
     measures the time of a planning call; `planagent models show MODEL` has more.";
+/// Bytes of a GiB.
 const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Lists the described models.
@@ -39,6 +40,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         return Ok(Exit::Success);
     }
     printer.table(table(&rows).fitted(printer.line_width()));
+    // A broken description is no failure of the list, since the other models can be used.
     let broken = rows.iter().filter(|row| row.source.is_none());
     broken.for_each(|row| {
         printer.line(format!(

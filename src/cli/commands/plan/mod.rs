@@ -173,6 +173,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
     printer.line(format!("Decision: {}", decision_words(call)));
     printer.line("Trajectory: time s, forward m, left m, speed m/s");
     let ego = trajectory.states()[0].rear_axle;
+    // A state a second: every tenth of a second is too much to read.
     for state in trajectory.states().iter().step_by(10) {
         let at = ego.to_local(state.rear_axle.position());
         let seconds = (state.time_us - trajectory.start_us()) as f64 / MICROS_PER_SECOND;

@@ -65,6 +65,7 @@ fn nuplan(
             printer.json(log)?;
         }
     }
+    // In the form in which a shell takes them, because the devkit reads these two variables.
     printer.note(format!("NUPLAN_DATA_ROOT={}", exported.data.display()));
     printer.note(format!("NUPLAN_MAPS_ROOT={}", exported.maps.display()));
     Ok(Exit::Success)
@@ -97,6 +98,7 @@ fn summary(changes: &ExportChanges) -> String {
         ),
         (changes.neighbors_changed, "neighbor relations changed"),
     ];
+    // Most maps keep nuPlan's rules, so nearly all counts are zero.
     let some = counted
         .iter()
         .filter(|(count, _)| *count > 0)

@@ -72,6 +72,7 @@ pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result
         }
         complete
     };
+    // CSV alone waits for all rows; the other outputs show each scenario as it is found.
     if *csv {
         printer.csv(&rows)?;
     }

@@ -15,6 +15,7 @@ use std::path::Path;
 /// Opens all scenes, measures them, and prints the comparison.
 pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::Result<Exit> {
     let StatisticsArguments { a, b, data, figure } = arguments;
+    // Before the scenes are measured, which takes minutes.
     if let Some(file) = figure {
         check_figure(file)?;
     }

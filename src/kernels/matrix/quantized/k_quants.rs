@@ -209,6 +209,8 @@ fn unpack_six_bits<S: Simd>(
     let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
     for lane in 0..LANES {
         for run in 0..4 {
+            // ggml's order: scales 4 to 7 keep their upper two bits in the spare bits of scales 0
+            // to 3.
             let [first, second, third] = [
                 packed[0][run][lane],
                 packed[1][run][lane],

@@ -248,6 +248,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     let (rows, _) = words.as_chunks::<ROWS>();
     let (activations, rest) = rows.split_at(STEPS);
     let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
+    // One function, so that these sums stay in registers over all runs. What depends on `Q` is
+    // decided at compile time.
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
     let steps = Q::RUN / 4;
     for (run, activations) in activations.chunks_exact(steps).enumerate().take(runs) {

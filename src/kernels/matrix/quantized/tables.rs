@@ -16,6 +16,7 @@ const fn biased(table: &[i8; 16]) -> [u8; 16] {
     biased
 }
 
+/// The tables of ggml's `iq4_nl` and of `mxfp4`, as the products take them.
 const BIASED_IQ4: [u8; 16] = biased(&IQ4);
 const BIASED_MXFP4: [u8; 16] = biased(&MXFP4);
 

@@ -133,7 +133,9 @@ pub trait Simd: Copy + Send + Sync {
     /// Elementary Functions", 1980).
     #[inline(always)]
     fn exp(self, x: Self::Floats) -> Self::Floats {
+        /// ln 2 in two parts, see above.
         const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+        /// 1/k! for k from 6 down to 0; the sum starts at 1/7!.
         const SERIES: [f32; 7] = [
             1.0 / 720.0,
             1.0 / 120.0,

@@ -99,6 +99,7 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
             )));
         }
     }
+    // transformers 5 moved these keys into sections; candle reads them where they were before.
     let theta = section.get("rope_theta").or(keys.get("rope_theta"));
     all.insert(
         "rope_theta".to_owned(),
@@ -120,6 +121,7 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
 fn check(kind: Kind, all: &Map<String, Value>) -> Result<(), String> {
     let number = |key: &str| all.get(key).and_then(Value::as_u64);
     let is_on = |key: &str| all.get(key).and_then(Value::as_bool).unwrap_or(false);
+    // candle ignores keys that it does not know, so such a model would run and give wrong answers.
     for key in ["use_sliding_window", "mlp_bias"] {
         if is_on(key) {
             return Err(format!("candle's class has no {key}"));

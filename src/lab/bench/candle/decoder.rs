@@ -60,6 +60,7 @@ impl Opened {
             .map(|tensor| tensor.elem_count() as u64)
             .sum();
         let weights = VarBuilder::from_tensors(tensors, DType::F32, &Device::Cpu);
+        // candle's cache of Llama cannot be emptied. Its configuration is kept to make a new one.
         let mut kept = None;
         let decoder = match kind {
             Kind::Llama => {
@@ -143,6 +144,7 @@ impl Opened {
                 quantized_qwen3::ModelWeights::from_gguf(content, &mut file, cpu)?,
             )),
             Kind::Gemma3 => {
+                // This class cannot empty its cache, so a copy that was never used stays beside it.
                 let model = quantized_gemma3::ModelWeights::from_gguf(content, &mut file, cpu)?;
                 Decoder::QuantizedGemma3(Box::new([model.clone(), model]))
             }

@@ -87,6 +87,7 @@ impl CandleProbe {
             image_side: 0,
             image_tokens: 0,
             vocabulary: opened.vocabulary,
+            // No longer than the engine that it is compared with: both run the same workloads.
             context: request
                 .like
                 .map_or(opened.context, |like| like.context.min(opened.context)),
@@ -109,6 +110,8 @@ impl CandleProbe {
         let mut time = StepTime::default();
         match step {
             Step::Keep(tokens) => self.keep(tokens, &mut time)?,
+            // Workloads are the same for all engines; a decoder of text has nothing to do for a
+            // picture.
             Step::Encode | Step::Image => {}
             Step::Text(tokens) | Step::FastForwarded(tokens) => {
                 let most = self.opened.vocabulary.max(1) as u32;

@@ -42,6 +42,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
             .map(|&to| (to, 1u8))
             .chain(node.proximal.iter().map(|&to| (to, 2)));
         let edges: Vec<(usize, u8)> = edges.collect();
+        // The table has a fixed width, and a cut node would teach a graph that planning never sees.
         if edges.len() > EDGES {
             return None;
         }

@@ -156,6 +156,7 @@ pub fn write_samples(
     let (mut count, mut number) = (0, 0);
     while count < samples {
         let path = folder.join(format!("{name}-{number:05}.safetensors"));
+        // A shard that exists is complete, so an interrupted run resumes behind it.
         let made = if let Some(present) = tensors::samples_in(&path) {
             present
         } else {

@@ -10,6 +10,7 @@ use planagent_world::LaneId;
 /// route.
 pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
     let scene = &moment.scene;
+    // The same steps as in the planner: the network must learn from the path that it will see.
     let blocks = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
     let lanes: Vec<LaneId> = blocks
         .iter()

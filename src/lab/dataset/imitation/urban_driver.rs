@@ -20,6 +20,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
         layers,
     } = UrbanDriverFeatures::from_scene(&moment.scene);
     let limits = ElementLimits::PUBLISHED;
+    // The published network takes no more, so neither does training.
     vehicles.truncate(limits.vehicles);
     let (mut points, mut available, mut kinds) = (Vec::new(), Vec::new(), Vec::new());
     for (layer, (lines, limit)) in layers.iter().zip(limits.layers).enumerate() {

@@ -95,6 +95,8 @@ impl BenchFigures {
                     figures
                         .models
                         .push(ModelFigures::from_iterations(about, &iterations));
+                    // Every comparison is between this program and another engine, so it belongs to
+                    // our row.
                     if about.engine == EngineName::PlanAgent {
                         figures
                             .comparisons

@@ -5,10 +5,12 @@ use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{Agreement, StudyResults};
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 880.0;
 /// Room for the ticks at the left, and between the panels.
 const LEFT: f64 = 50.0;
 const GAP: f64 = 70.0;
+/// Top of the first row of panels, and the height of each.
 const TOP: f64 = 70.0;
 const HEIGHT: f64 = 260.0;
 /// Between two rows of panels.
@@ -60,6 +62,7 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
         for one in &agreement.planners {
             let (x, y) = (across.at(one.reported), upward.at(one.score));
             picture.point([x, y], color(0), false);
+            // Names go to the inner side of their point, so that they stay in the panel.
             let (anchor, x) = if x > left + width / 2.0 {
                 (Anchor::End, x - 8.0)
             } else {

@@ -5,6 +5,7 @@ use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{StudyResults, SuiteResults, TypeResults};
 use planagent_agent::simulation::Challenge;
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 980.0;
 /// Columns: names, then a panel for each challenge. The longest type has 54 letters.
 const NAMES: f64 = 350.0;
@@ -25,6 +26,7 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
     let title = format!("{}: {}, {} scenes", results.title, suite.name, suite.scenes);
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);
     for (place, kind) in kinds.iter().enumerate() {
+        // 4 pixels down, because SVG places a text by its baseline.
         let y = TOP + group * place as f64 + f64::midpoint(0.0, group - BETWEEN) + 4.0;
         picture.text([NAMES - 10.0, y], Anchor::End, "", &kind.scenario_type);
     }

@@ -6,6 +6,7 @@ use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{ChallengeResults, StudyResults, SuiteResults};
 use crate::study::Study;
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 880.0;
 /// Columns: names, then a panel for each challenge.
 const NAMES: f64 = 310.0;

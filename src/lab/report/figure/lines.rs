@@ -6,6 +6,7 @@ use crate::report::{StudyResults, SuiteResults};
 use crate::study::Study;
 use planagent_agent::simulation::Challenge;
 
+/// Size of the picture and edges of the plot in it, pixels.
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 400.0;
 const LEFT: f64 = 60.0;
@@ -29,6 +30,7 @@ pub(super) fn draw(
 ) -> String {
     let curves = curves(study, suite);
     let all = || curves.iter().flat_map(|curve| &curve.points);
+    // One scale for our scores and the paper's, so that they can be compared.
     let across = Scale::for_values(all().map(|point| point[0]), [LEFT, RIGHT]);
     let up = Scale::for_values(all().map(|point| point[1]), [BOTTOM, TOP]);
     let mut picture = Picture::new(WIDTH);
@@ -80,6 +82,8 @@ fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
             let points: Vec<[f64; 2]> = variants
                 .filter_map(|(place, v)| Some([v.x?, value(place)?]))
                 .collect();
+            // The paper has no scores for some studies; its curve then needs no place in the
+            // legend.
             if points.is_empty() {
                 continue;
             }

@@ -4,6 +4,7 @@ use super::svg::{Anchor, Picture, Scale, color};
 use crate::realism::{Distribution, SceneComparison};
 use planagent_runs::report::fixed;
 
+/// Width of the picture, pixels; so are all lengths below.
 const WIDTH: f64 = 760.0;
 /// Columns: names, then the percentiles between their extremes.
 const NAMES: f64 = 220.0;
@@ -48,6 +49,7 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
         if !low.is_finite() {
             continue;
         }
+        // Each row has a scale of its own, because features have different units.
         let scale = Scale::for_values(ends(), [LEFT, RIGHT]);
         let decimals = usize::from(high.abs().max(low.abs()) < 20.0);
         picture.text(

@@ -69,6 +69,8 @@ fn agreement(
         .zip(&suite.variants)
         .filter_map(both)
         .collect();
+    // Only scenes that every planner completed: else the scenes and not the planners make the
+    // order.
     let all = |source: &&String| {
         planners
             .iter()

@@ -97,6 +97,8 @@ pub(super) fn recordings(
                 .collect();
             let scores: Vec<Option<f64>> = own.iter().map(|rows| mean(rows)).collect();
             let at = |place: usize| scores.get(place).copied().flatten();
+            // Only a clear loss is traced to a simulation; small differences are the noise of a
+            // recording.
             let loses = at(0)
                 .zip(at(reference))
                 .is_some_and(|(first, other)| first < other - LOSS);

@@ -276,6 +276,8 @@ impl ResultSource<'_> {
             not_simulated,
             challenges: self.challenges(variant, rows, against, benchmark, |_| true),
             scenario_types,
+            // Most planners never call a model; zero is shown only in a study with a column for
+            // calls.
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / completed.count() as f64),
             calls: (self.study.rows == Rows::Recordings).then(|| CallShares::from_rows(rows)),
@@ -313,6 +315,8 @@ impl ResultSource<'_> {
                 };
                 let scores = of(rows);
                 let others = against.map(of);
+                // Scene by scene: scenes differ far more from each other than planners do on one
+                // scene.
                 let differences: Vec<(&str, f64)> = others
                     .iter()
                     .flatten()

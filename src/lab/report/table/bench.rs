@@ -6,6 +6,7 @@ use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, wei
 use planagent_runs::report::{markdown_block, markdown_line};
 use std::fmt::Write as _;
 
+/// Bytes of a MiB and of a GiB.
 const MEBI: f64 = (1 << 20) as f64;
 const GIBI: f64 = (1 << 30) as f64;
 

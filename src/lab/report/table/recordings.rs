@@ -73,6 +73,7 @@ pub(super) fn calls(study: &Study, suite: &SuiteResults) -> Table {
             let mut cells = variant.labels.clone();
             cells.extend(own.at_fault.iter().map(|(_, count)| count.to_string()));
             cells.push(own.planning_calls.to_string());
+            // Shares, because variants make different numbers of calls.
             let share = |count: usize| match own.planning_calls {
                 0 => "-".to_owned(),
                 all => format!("{} %", fixed(100.0 * count as f64 / all as f64, 1)),

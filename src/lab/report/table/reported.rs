@@ -61,6 +61,7 @@ pub(super) fn agreement(results: &StudyResults) -> Option<Table> {
                     found
                         .kendall
                         .map_or_else(|| "-".to_owned(), |kendall| kendall.scenes.to_string()),
+                    // Fewer than three planners have no order to compare.
                     or_dash(found.kendall, |kendall| signed(kendall.tau)),
                     or_dash(found.kendall, interval),
                 ]

@@ -138,6 +138,7 @@ fn variants(
     let paper = has_paper(suite);
     for &challenge in challenges {
         headers.extend([short(challenge), "diff", "95 % interval"].map(str::to_owned));
+        // A terminal has room for the paper's score and none for its difference.
         match layout {
             Layout::Narrow if paper => headers.push("paper".to_owned()),
             Layout::Wide if paper => headers.extend([
@@ -213,6 +214,7 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], layout: Layout
             .challenges
             .iter()
             .find(|result| challenges.contains(&result.challenge));
+        // Failed simulations are scenes too: the count must not depend on the variant.
         let scenes = shown.map_or(0, |result| result.simulations + result.failed);
         let mut cells = vec![kind.scenario_type.clone(), scenes.to_string()];
         for &challenge in challenges {
@@ -241,6 +243,8 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], layout: Layout
 /// The columns of the study beside scores; none if it has none.
 fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
     let mut headers = study.labels.clone();
+    // Heads and cells are two matches on one list; the compiler asks for both when a column is
+    // added.
     for column in &study.columns {
         let heads: &[&str] = match column {
             Column::Calls => &["calls/sim"],
@@ -358,6 +362,7 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
         notes.push("Times of models that were not simulated are from a bench.".to_owned());
     }
     notes.extend(study.remarks.iter().cloned());
+    // Failures come last, closest to the prompt of the terminal.
     for (suite, variant) in variants() {
         let failed: usize = variant.challenges.iter().map(|result| result.failed).sum();
         if failed > 0 {

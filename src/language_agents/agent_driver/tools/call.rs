@@ -41,6 +41,7 @@ pub(super) fn read(answer: &str) -> Result<Call, String> {
     }
     let close = closing(rest).ok_or("the call is not closed")?;
     let (inside, behind) = rest.split_at(close);
+    // Each question gets one result, so a second call would be lost without a word.
     if behind[1..].contains('(') {
         return Err("call one tool, not several".to_owned());
     }
@@ -194,6 +195,7 @@ fn call(tool: &Tool, objects: usize) -> Constraint {
 fn argument(parameter: Parameter, objects: usize) -> Vec<Constraint> {
     let reach = REACH as i64;
     let meters = |range: std::ops::RangeInclusive<i64>| any_of(range.map(|m| m.to_string()));
+    // One match, the counterpart of `Tools::arguments`: an arm allows what that function reads.
     match parameter {
         Parameter::Area => vec![
             text("x_start="),

@@ -353,6 +353,8 @@ impl<'a> Facts<'a> {
                 }
             }
         }
+        // An argument too many is an error: the model asked for something that this tool does not
+        // do.
         match given.next() {
             Some(Argument { name, .. }) => Err(format!(
                 "{} is one argument too many",

@@ -76,6 +76,8 @@ pub(crate) fn seen(scene: &SceneView<'_>) -> Vec<SeenObject> {
         x.hypot(y)
     };
     objects.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    // Numbered after sorting: the grammar allows ids from 0 up to a limit, so these name the
+    // nearest objects.
     for (id, object) in objects.iter_mut().enumerate() {
         object.id = id;
     }

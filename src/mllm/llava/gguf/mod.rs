@@ -86,6 +86,7 @@ impl GgufLayout for LlavaGguf {
         let mut put = |name: &str, value: &serde_json::Value| {
             files.insert(name.to_string(), value.to_string())
         };
+        // llama.cpp drops the token of the image, which then has no row in the embedding.
         if image == vocabulary as u64 {
             config[IMAGE_TOKEN_BEYOND] = json!(true);
         } else {

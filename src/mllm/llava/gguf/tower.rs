@@ -37,6 +37,7 @@ pub(super) fn config(
     model_type: &str,
 ) -> Result<(Value, Option<String>), MllmError> {
     let layers = header.required_count("clip.vision.block_count")?;
+    // llama.cpp's order; its default without both keys is the activation of CLIP.
     let act = match (header.flag("clip.use_gelu")?, header.flag("clip.use_silu")?) {
         (Some(true), _) => "gelu",
         (_, Some(true)) => "silu",
@@ -134,6 +135,7 @@ pub(super) fn metadata(
     pinpoints: Option<Vec<[u32; 2]>>,
     scale: [[f32; 3]; 2],
 ) -> Result<Entries, &'static str> {
+    // The keys below describe a CLIP tower; llama.cpp would read other weights as one.
     if config.tower == TowerType::Siglip {
         return Err("a SigLIP tower in a LLaVA");
     }

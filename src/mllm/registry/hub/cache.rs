@@ -114,6 +114,7 @@ pub(in crate::registry) fn snapshot_in(folder: &Path) -> Option<PathBuf> {
 /// one; for the default revision without a ref, those that no other ref names.
 fn snapshots_of(repository: &Path, revision: &str) -> Vec<PathBuf> {
     let snapshot = |commit: &str| repository.join("snapshots").join(commit);
+    // A revision becomes a part of a path, and must not lead out of the cache.
     if !is_plain(revision) {
         return Vec::new();
     }

@@ -57,6 +57,7 @@ pub(super) fn download(
                 } else {
                     repository
                 };
+                // Asked once a process: every model of a run would wait for the same silent hub.
                 unreachable().insert(refused);
                 Ok(place)
             }

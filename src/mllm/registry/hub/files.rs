@@ -103,6 +103,7 @@ impl HubFiles {
         if !has_safetensors(folder) {
             return Some("model.safetensors".into());
         }
+        // A damaged index is no missing file; opening the model says what is wrong with it.
         match weight_files(folder) {
             Err(MllmError::MissingFile { file, .. }) => Some(file),
             _ => None,

@@ -77,6 +77,7 @@ fn four(
     if state.quant_type != kind || state.blocksize == 0 {
         return Err(state_part.error("quant_type and blocksize do not describe the tensor"));
     }
+    // The shape comes from the file's own text, so it is compared with the bytes that are there.
     let count = outputs.checked_mul(inputs).filter(|count| *count > 0);
     let Some(count) = count.filter(|count| count.div_ceil(2) as u64 == codes.tensor.bytes) else {
         let problem = format!(

@@ -369,6 +369,8 @@ impl Packed for Integers {
         if self.codes.tensor.dtype == Dtype::I8 {
             let mut bytes = self.codes.bytes()?;
             for byte in &mut bytes {
+                // Signed bytes become codes from 0 up, as packed ones are, so that the rest knows
+                // one form.
                 *byte ^= 0x80;
             }
             return Ok(bytes);

@@ -41,6 +41,7 @@ fn layers(
         .or(settings.value("format")?);
     let zeros = match version.as_deref() {
         Some("gptq_v2") => Zeros::Plain,
+        // Symmetric files of both versions lack the key; the stored zeros tell which it is.
         None if settings.value("sym")?.unwrap_or(true) => Zeros::Unknown,
         Some("gptq") | None => Zeros::LessOne,
         Some(other) => {

@@ -15,6 +15,7 @@ pub(super) const METHOD: Method = Method {
     layers,
 };
 
+/// Bits of a number that MLX packs.
 const WIDTHS: [u32; 6] = [2, 3, 4, 5, 6, 8];
 
 /// The settings of a layer.
@@ -85,6 +86,7 @@ fn take(table: &mut TensorTable, name: String, groups: Groups) -> Result<PackedL
     minima.check_shape(scales.shape())?;
     let inputs = across.checked_mul(size);
     let needed = inputs.and_then(|inputs| inputs.checked_mul(bits as usize));
+    // MLX stores no width: it follows from the scales, and the words must agree.
     let Some(inputs) = inputs.filter(|_| rows == outputs && needed == words.checked_mul(32)) else {
         let problem = format!(
             "{words} words and {across} scales of {rows} rows do not fit groups of {size} numbers of {bits} bits"

@@ -99,6 +99,7 @@ pub(super) fn open(
         .iter()
         .flat_map(|(_, tensors)| tensors)
         .all(RawTensor::is_plain);
+    // Some converters keep the description of a quantizer whose tensors they have widened.
     if all_plain {
         let mut weights = safetensors_folder::of_files(folder, raw, quantize, canonical)?;
         weights.note(description.ignored());
@@ -158,6 +159,7 @@ fn add_plain(
         let Some(canonical) = canonical(&part.tensor.name) else {
             continue;
         };
+        // MLX keeps the channels of a convolution last; all other tensors have PyTorch's order.
         let kernel = ChannelsLast::find(part).filter(|_| is_mlx);
         let (index, place) = match kernel {
             Some(kernel) => {

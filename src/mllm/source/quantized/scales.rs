@@ -205,6 +205,7 @@ impl Scales {
     /// The format of blocks for codes of `bits` bits in rows of `inputs`.
     pub(super) fn format(&self, bits: u32, inputs: usize) -> (WeightFormat, Held) {
         const ROUNDED: (WeightFormat, Held) = (WeightFormat::Q8_0, Held::Rounded);
+        // A block of ggml has one scale, so no block may reach over two scales of the file.
         let whole = match self.places {
             Places::Blocks {
                 columns, across, ..
@@ -267,6 +268,7 @@ impl Scales {
     ) -> f32 {
         let scale = self.scale(place);
         let d = f16::from_f32(scale);
+        // What the 16 bits of the scale lose counts once for each number, most for the farthest.
         let lost = (scale - d.to_f32()).abs();
         let mut bytes = d.to_le_bytes().to_vec();
         let mut error = 0.0;
@@ -335,6 +337,7 @@ fn of_range(bits: u32, smallest: i16, largest: i16) -> Option<WeightFormat> {
 /// How half precision holds numbers. Errors count relative to the largest of them: an error far
 /// below the others changes no product.
 fn in_halves(numbers: &[f32]) -> Held {
+    /// Relative rounding error of half precision, which has 11 binary digits.
     const HALF_STEP: f32 = 1.0 / 2048.0;
     let largest = numbers
         .iter()

@@ -99,6 +99,7 @@ fn comparison(challenge: Challenge, rows: &[(usize, &SimulationRow)]) -> Compari
             .map(|(run, planner)| Completed::from_rows(run, planner, &own))
             .collect();
     let common = common(&entrants);
+    // Each pair once: the page turns the sign for the other direction.
     let pairs: Vec<(usize, usize)> = (0..entrants.len())
         .flat_map(|of| (0..of).map(move |from| (of, from)))
         .collect();

@@ -158,6 +158,7 @@ impl LivePage {
             changed |= run.list(place, &mut unread)?;
         }
         let (done, all) = (AtomicUsize::new(0), unread.len());
+        // An unreadable simulation is kept with its error, so that one does not hide all others.
         let contents: Vec<_> = unread
             .par_iter()
             .map(|Unread { number, folder, .. }| {

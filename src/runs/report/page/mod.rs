@@ -211,6 +211,7 @@ fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elem
     }
     let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
     for simulations in scenarios.into_values() {
+        // A copy of the maps: a scenario that does not fit leaves nothing behind.
         let (mut added, mut known) = (String::new(), maps.clone());
         let mut places = Vec::new();
         for i in simulations.iter().copied() {

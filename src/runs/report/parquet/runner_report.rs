@@ -21,6 +21,7 @@ fn columns(rows: &[&SimulationRow]) -> Columns {
     let float = |of: fn(&SimulationRow) -> Option<f64>| {
         Column::Float(rows.iter().map(|row| of(row)).collect())
     };
+    // Names and order are those of nuPlan's runner report, which nuBoard reads.
     let all = [
         (
             "succeeded",

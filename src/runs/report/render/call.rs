@@ -118,6 +118,7 @@ fn scene_picture(
     let ego = &frame.ego;
     let bounds = Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters);
     let map = DrawnMap::from_map(&scenario.map, &scenario.route, &bounds);
+    // The present frame belongs to the trail, which ends at the ego.
     let past = scenario
         .frames
         .iter()

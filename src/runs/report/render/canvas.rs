@@ -98,6 +98,9 @@ impl Canvas {
         angle: f32,
         origin: Pixel,
     ) {
+        // A pattern and no lines of its own: the edge of the polygon then cuts the stripes.
+        /// Side of a tile of the pattern and its filled rows, pixels: a stripe is a little wider
+        /// than a gap.
         const TILE: u32 = 16;
         const FILLED: f32 = 9.0;
         let (Some(mut tile), Some(bar)) = (

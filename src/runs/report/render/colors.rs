@@ -38,6 +38,7 @@ pub(super) struct Colors {
 impl Colors {
     /// All of them.
     pub(super) fn all(&self) -> [Rgb; 22] {
+        // Taken apart by name, so that the compiler asks for each new color here.
         let Self {
             paper,
             panel,

@@ -40,6 +40,8 @@ pub fn write_gif(
         let mut encoder = Encoder::new(&mut bytes, width, height, &[]).map_err(&failed)?;
         encoder.set_repeat(Repeat::Infinite).map_err(&failed)?;
         let mut last: Option<RgbImage> = None;
+        // Frames are drawn on all cores and encoded in order; batches bound the memory between the
+        // two.
         for batch in iterations.chunks(BATCH) {
             for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
                 let is_last = iterations.last() == Some(iteration);

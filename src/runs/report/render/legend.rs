@@ -50,6 +50,7 @@ impl Entry {
             ObjectKind::GenericObject,
         ];
         let map = scene.map;
+        // In the order of the page's legend.
         let shown = [
             (Self::Ego, true),
             (Self::Plan, !scene.plan.is_empty()),
@@ -104,6 +105,7 @@ impl Entry {
         let colors = &*COLORS;
         let center = (x + width / 2.0, y);
         let mut line = |pen: Pen| canvas.line(&[(x, y), (x + width, y)], pen);
+        // One match: an arm draws what `scene.rs` draws, in small.
         match self {
             Self::Ego => vehicle(canvas, center, (width, height), colors.ego),
             Self::Vehicle => vehicle(canvas, center, (width, height), colors.vehicle),

@@ -87,6 +87,7 @@ impl Lettering {
             if !line.is_empty() {
                 lines.push(std::mem::take(&mut line));
             }
+            // Letter by letter: only a word that is wider than a line breaks here.
             for letter in word.chars() {
                 if !line.is_empty()
                     && self.width(&line) + self.width(letter.encode_utf8(&mut [0; 4])) > width

@@ -78,6 +78,7 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
             letters,
             colors.tried,
         );
+        // Later labels avoid this one too, so the order of the plans decides who moves.
         taken.push(area);
     }
 }

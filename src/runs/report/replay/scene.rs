@@ -38,6 +38,7 @@ impl ReplayedSimulation {
             .plans
             .iter()
             .map(|plan| plan.points().collect())
+            // Iterations behind the last plan have none, and `zip` would drop them.
             .chain(std::iter::repeat(Vec::new()));
         let mut moments: Vec<Moment> = replay
             .ego

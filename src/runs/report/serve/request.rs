@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 const MAX_TIME: Duration = Duration::from_secs(5);
 /// Maximum size of a head, bytes. Those of browsers have about 1 KB.
 const MAX_BYTES: usize = 16 * 1024;
+/// Maximum number of fields of a head; browsers send fewer than half as many.
 const MAX_HEADERS: usize = 64;
 /// The names of this machine. A page of another name that leads here by DNS (DNS rebinding) has its
 /// own name as host.
@@ -28,6 +29,8 @@ impl Request {
         let mut head = Vec::new();
         let begun = Instant::now();
         loop {
+            // One limit for the whole head: a client that sends a byte now and then must not hold
+            // the server.
             let left = MAX_TIME.saturating_sub(begun.elapsed());
             let waits = if left.is_zero() {
                 None
@@ -74,6 +77,7 @@ impl Request {
             .headers
             .iter()
             .filter(|header| header.name.eq_ignore_ascii_case("host"));
+        // A page of another site may send requests here under its own name; the host gives it away.
         let (Some(host), None) = (hosts.next(), hosts.next()) else {
             return Err(bad("the request needs one host"));
         };

@@ -93,6 +93,7 @@ fn line(group: &[(&SimulationRow, &str)]) -> String {
     if others.is_empty() {
         return own;
     }
+    // A broken model fails everywhere, and a thousand names would bury the cause.
     let named: Vec<String> = others
         .iter()
         .take(MAX_NAMED)

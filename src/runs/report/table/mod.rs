@@ -104,6 +104,7 @@ pub fn main_table(
         .collect();
     meanings.extend(overview::meanings(summary, planners, !types.is_empty()));
     let mut parts: Vec<String> = tables.into_iter().map(SimulationTable::text).collect();
+    // From the single simulation to the means, because a terminal shows the end.
     parts.push(simulations::zeroed(rows, width));
     parts.push(simulations::refused(rows, width));
     parts.push(simulations::without_plan(rows, width));

@@ -17,6 +17,8 @@ impl Network {
             .passages
             .iter()
             .enumerate()
+            // Lines are sampled once for all pairs, since each is compared with every other of its
+            // junction.
             .filter_map(|(i, passage)| {
                 let passage = passage.as_ref()?;
                 let id = LaneId(i as u32);

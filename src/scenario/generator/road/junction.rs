@@ -45,6 +45,7 @@ pub(crate) enum Turn {
 impl Turn {
     /// The turn between two headings: straight below 50 degrees.
     pub(crate) fn between(from: f64, to: f64) -> Self {
+        /// Radians.
         const STRAIGHT: f64 = 50.0 / 180.0 * PI;
         let angle = wrap_angle(to - from);
         if angle.abs() < STRAIGHT {
@@ -136,6 +137,7 @@ impl Network {
                 let line = connection(self.end_of(a), self.start_of(b));
                 let passage = Passage {
                     junction,
+                    // Lanes that only continue cross nothing, so they rank above every turn.
                     rank: 9,
                     stop_sign: false,
                     conflicts: Vec::new(),
@@ -323,6 +325,7 @@ pub(super) fn crossing_band(mouth: Pose, right: f64, left: f64) -> Result<Polygo
 /// The rounded curb between two arms' edges, without its two ends; empty if the edges are nearly
 /// parallel. Both poses face away from the junction.
 pub(super) fn curb(from: Pose, to: Pose) -> Vec<Point> {
+    /// Pieces of the rounded curb.
     const SAMPLES: usize = 8;
     let Some(corner) = curb_corner(from, to) else {
         return Vec::new();

@@ -288,10 +288,13 @@ impl Layout {
         style: &RoadStyle,
         course: Course,
     ) -> Result<(), GeometryError> {
+        /// Width of a lane on the ring, meters: turning vehicles need more than on a road.
         const LANE_WIDTH: f64 = 4.6;
+        /// Limit on the ring, m/s (20 mph).
         const SPEED_LIMIT: f64 = 8.9;
         let (before, end) = (self.last(), self.end());
         let half_opening = if plan.arms == 4 { 0.6 } else { 0.7 };
+        // The arms begin outside the ring, so that connectors have room to bend into it.
         let outer = plan.island + plan.lanes as f64 * LANE_WIDTH;
         let radius = outer + 9.0;
         let center: Point = end.translated(radius, 0.0).position();

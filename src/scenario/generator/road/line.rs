@@ -68,6 +68,8 @@ pub(crate) fn trace(start: Pose, pieces: &[Piece]) -> Vec<Pose> {
             } else {
                 BEND_SPACING
             };
+            // Samples are spaced by turn as well as by length: a vertex that bends too much would
+            // show as a corner.
             if since > 0.0
                 && (since + step > spacing + 1e-9 || (turned + turn).abs() > TURN_PER_SAMPLE)
             {

@@ -271,6 +271,7 @@ impl Network {
     ) -> Result<LaneId, GeometryError> {
         let (w0, w1) = (self.width_of(from) / 2.0, self.width_of(to) / 2.0);
         let last = (line.len() - 1) as f64;
+        // Lanes on both sides may differ in width, and the area must meet both without a step.
         let edge = |side: f64| -> Vec<Point> {
             let half = |i: usize| w0 + (w1 - w0) * i as f64 / last;
             line.iter()

@@ -216,6 +216,7 @@ fn check_overlaps(
     }
     for (n, junction) in junctions.iter().enumerate() {
         for i in index.within(&junction.bounds()) {
+            // Roads that lead to a junction end in its area, so they overlap it by design.
             if !touching[n].contains(&i) && junction.overlaps(&roads[i].outline) {
                 return Err(RoadsError::RunsInto(i, n));
             }

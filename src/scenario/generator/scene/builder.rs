@@ -58,6 +58,8 @@ pub(crate) fn prepare(
     for n in 0..roads.signals.len() {
         let governed: Vec<LaneId> = roads.signals[n].connectors().collect();
         let own = chain.iter().copied().find(|lane| governed.contains(lane));
+        // A setting times the first light on the way only: when the ego reaches the next one
+        // depends on the traffic.
         let is_first = own.is_some_and(|own| {
             let before = chain.iter().take_while(|&&lane| lane != own);
             !before
@@ -239,6 +241,8 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
             served: None,
             gone: false,
         };
+        // After the draws, since whether there is room depends on the drawn size and sideways
+        // place.
         if !self.is_free(&mover.shape(), 2.5, 0.15) {
             return None;
         }
@@ -358,6 +362,8 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
                 let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
                 let ahead = along - ego.s;
                 if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
+                    // Draws of a vehicle come only where one may stand. Their order is part of what
+                    // a seed means.
                     let kind = if self
                         .rng
                         .bool(if self.rng.is_wide() { wide::LONG } else { 0.1 })
@@ -407,6 +413,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// Slows down every vehicle that could not brake comfortably behind a slower one ahead.
     fn settle(&mut self) {
+        /// Comfortable braking, m/s².
         const BRAKING: f64 = 1.3;
         for _ in 0..3 {
             let bodies = self.traffic.bodies();

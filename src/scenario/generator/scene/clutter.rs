@@ -33,6 +33,7 @@ impl TrafficBuilder<'_, '_> {
             self.add_wide_clutter();
             return;
         }
+        // Drawn once a scene and not once a lane, so that its curbs look alike.
         let (parked, cyclists, strollers) = (
             self.rng.uniform(0.2, 0.8),
             self.rng.bool(0.5),
@@ -143,8 +144,12 @@ impl TrafficBuilder<'_, '_> {
     /// Adds a pedestrian who crosses the road away from any crosswalk, where no object blocks the
     /// path.
     pub(crate) fn add_jaywalker(&mut self) {
+        /// Distance of both ends of the crossing from the ego's path, meters.
         const REACH: f64 = 14.0;
+        /// Places that are tried before the scene stays without a jaywalker.
         const TRIES: usize = 5;
+        // A place may be blocked; a scene without a jaywalker is better than a search without an
+        // end.
         for _ in 0..TRIES {
             let (s, side) = (
                 self.ego().s + self.rng.uniform(50.0, 110.0),

@@ -71,6 +71,7 @@ pub(crate) fn cut_in(builder: &mut TrafficBuilder<'_, '_>, probability: f64) {
             builder.rng.uniform(-1.0, 6.0),
             builder.rng.uniform(0.7, 1.0),
         );
+        // Capped: a driver that speeds up in its own lane would be gone before the change.
         builder.traffic.movers[i].speed_cap = (speed * 1.05).max(3.0);
         builder.traffic.movers[i].script = vec![
             Act::Limit {

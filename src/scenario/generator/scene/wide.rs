@@ -124,6 +124,8 @@ impl TrafficBuilder<'_, '_> {
     pub(super) fn add_wide_clutter(&mut self) {
         let parked = self.rng.uniform(0.3, 1.0);
         let cyclists = self.rng.bool(0.4);
+        // A function of its own beside `add_clutter`, because seeds of the first ranges must keep
+        // their draws.
         for (lane, lane_width, strip) in self.curb_lanes() {
             if strip >= 2.3 {
                 self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
@@ -174,6 +176,7 @@ impl TrafficBuilder<'_, '_> {
             .collect();
         for lane in lanes {
             let onward = self.roads().map[lane].outgoing.clone();
+            // Yellow counts as red, because a driver who arrives then stops.
             let red = onward.iter().any(|&next| {
                 lights
                     .status(next)

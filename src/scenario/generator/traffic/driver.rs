@@ -213,6 +213,8 @@ impl Mover {
             let gap = (s - self.front_s()).max(0.0);
             let passed = (gap + self.length + 2.0) / self.speed.max(0.5);
             let left = wait + (offset.abs() + half) / sideways.abs();
+            // Rules of thumb, ours: the driver is past in time, the crossing is far off, or it ends
+            // in time.
             if passed + 1.0 < enters
                 || (enters > 6.0 && gap > 15.0)
                 || gap > self.speed * (left + 2.0) + 8.0

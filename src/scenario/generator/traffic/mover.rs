@@ -219,6 +219,7 @@ impl Mover {
     /// Curvature of the path at arc length `s` of the track, 1/m, from the headings before and
     /// after.
     pub(crate) fn path_curvature(&self, s: f64) -> f64 {
+        /// Distance of both headings from the place, meters.
         const SPAN: f64 = 1.2;
         wrap_angle(self.heading_at(s + SPAN) - self.heading_at(s - SPAN)) / (2.0 * SPAN)
     }
@@ -241,6 +242,7 @@ impl Mover {
 
     /// True during a lane change, not during an offset within the lane.
     pub(crate) fn is_between_lanes(&self) -> bool {
+        /// Larger sideways movements leave the lane, meters: about half of a lane's width.
         const WITHIN_LANE: f64 = 1.6;
         self.is_changing() && (self.shift.to_d - self.shift.from_d).abs() > WITHIN_LANE
     }

@@ -72,6 +72,8 @@ impl Traffic<'_> {
                 }
             }
             if let Some(conflict) = self.conflict_ahead(i, span.from, passage, claims, lights) {
+                // A vehicle inside the junction may still stop short of the conflict, but no longer
+                // at the line.
                 let edge = span.from + conflict.own[0] - 1.0;
                 if before {
                     return Some(span.from);

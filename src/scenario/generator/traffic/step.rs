@@ -14,6 +14,8 @@ impl Traffic<'_> {
         self.play_scripts(&bodies);
         self.follow_command(command, &bodies);
         let claims = Claims::new(self);
+        // Everything is decided before anything moves, so that the order of movers has no
+        // influence.
         let wanted: Vec<f64> = (0..self.movers.len())
             .map(|i| {
                 if self.movers[i].gone {

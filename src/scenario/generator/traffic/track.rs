@@ -164,6 +164,7 @@ impl Track {
     /// Arc length and signed distance of the point of the track nearest to `point`, searched
     /// between two arc lengths.
     pub(crate) fn project(&self, point: Point, from: f64, to: f64) -> (f64, f64) {
+        /// Poses from one that is compared to the next; those between are compared around the best.
         const STRIDE: usize = 4;
         let last = self.poses.len() - 1;
         let first = ((from / SPACING).max(0.0) as usize).min(last);
@@ -193,6 +194,7 @@ impl Track {
     /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a
     /// millimeter.
     pub(crate) fn project_exactly(&self, point: Point) -> (f64, f64) {
+        /// Steps of the refinement, each of which projects on the tangent.
         const STEPS: usize = 4;
         let (mut s, mut lateral) = self.project(point, 0.0, self.length);
         for _ in 0..STEPS {

@@ -50,6 +50,7 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     let roads = builder.roads();
     let lanes = &roads.route_lanes[0];
     let must_move = roads.reach(0, lanes[builder.ego_lane]) == 0 && roads.route_lanes.len() > 1;
+    // What `situation` draws stays the same under another traffic seed; the rest is traffic.
     let cause = builder.rng.situation(|rng| rng.range(0, 5));
     let ahead = speed * builder.rng.situation(|rng| rng.uniform(5.0, 7.5)) + 20.0;
     if must_move || (cause <= 1 && close_ahead(builder, ahead)) {

@@ -82,6 +82,8 @@ impl Change for LaneGoal {
             place.lane,
             from_s + length + BEYOND,
         );
+        // The path must go on beyond the goal, so that a planner at the goal still has a lane
+        // ahead.
         let length = length.min(path.centerline.length() - BEYOND - from_s);
         if length < MIN_LENGTH {
             return Err(Fault::new(

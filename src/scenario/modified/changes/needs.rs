@@ -47,6 +47,7 @@ impl Change for Needs {
         let fits = |bounds: Option<[usize; 2]>, count: usize| {
             bounds.is_none_or(|[l, h]| (l..=h).contains(&count))
         };
+        // One check after another with its own fault: the first that fails is what the user reads.
         let own = draft.lanes.own_direction(map, self.ahead_m)?.len();
         if !fits(self.own_lanes, own) {
             return Err(Fault::new("own_lanes", format!("the road has {own}")));

@@ -80,6 +80,8 @@ impl Change for Traffic {
         let (mut rows, wants): (Vec<(OnLane, bool)>, _) = (Vec::new(), |word: &str| {
             self.lanes == word || self.lanes == "all"
         });
+        // Own lane first, then beside, then oncoming: rows draw from one stream, so their order is
+        // fixed.
         let of_direction = draft.lanes.own_direction(&map, 0.0)?;
         rows.extend(
             of_direction

@@ -169,6 +169,7 @@ impl Lanes {
             .copied()
             .filter(|&id| route.contains(&map[id].roadblock))
             .collect();
+        // Lanes overlap in junctions; of several, the one on the route is what the ego follows.
         let mut lane = map.best_fit(
             if on_route.is_empty() {
                 &here

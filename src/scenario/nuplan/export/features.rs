@@ -71,6 +71,7 @@ pub(super) fn layers(
         .flat_map(|block| lane_indices(map, block))
         .collect();
     graph.changes.neighbors_changed += changed_neighbors(map, &indices);
+    // Before the connectors, which name the stop lines that govern them.
     let stops = stop_rows(map, graph);
     graph.changes.inserted_stop_lines += stops.iter().filter(|stop| stop.inserted).count();
     let mut lines = Lines {
@@ -198,6 +199,7 @@ fn lanes(
         let index = source
             .and_then(|lane| indices.get(&lane).copied())
             .unwrap_or_default();
+        // Borders are written before their lane, because its row names them by number.
         let borders = lines.borders(centerline, polygon)?;
         GroupEdges::enter(edges, *group, index, borders);
         lines.baseline(centerline, "lane_fid", *fid)?;
@@ -245,6 +247,7 @@ fn connectors(
         let borders = lines.borders(centerline, polygon)?;
         GroupEdges::enter(edges, *group, place as i64, borders);
         let baseline = lines.baseline(centerline, "lane_connector_fid", *fid)?;
+        // Several stop lines may govern a connector, and nuPlan lists them in one column.
         let governing: Vec<i64> = stops
             .iter()
             .filter(|stop| stop.governs.contains(fid))
@@ -310,6 +313,7 @@ fn groups(
     }
     let mut connecting = LayerBuilder::new(schema::LANE_GROUP_CONNECTORS);
     for row in &graph.group_connectors {
+        // A group has one intersection in nuPlan's tables, so its first connector decides.
         let first = graph
             .connectors
             .iter()

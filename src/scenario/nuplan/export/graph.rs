@@ -166,6 +166,7 @@ impl<'m> GraphBuilder<'m> {
                 areas: block.areas.clone(),
             });
         }
+        // All lanes before any connector: a connector names both of its lanes.
         for lane in self.map.lanes().iter().filter(|lane| !lane.is_connector()) {
             self.add_lane(lane);
         }
@@ -265,6 +266,8 @@ impl<'m> GraphBuilder<'m> {
         if finishes.is_empty() {
             finishes.push(End::OpenFinish(lane.id));
         }
+        // The first copy keeps the number, so that a map which obeys nuPlan's rules keeps all of
+        // its own.
         let mut own = Some(self.lane_fids[lane.id.index()]);
         for &start in &starts {
             for &finish in &finishes {
@@ -363,6 +366,7 @@ impl<'m> GraphBuilder<'m> {
         if let Some(&fid) = self.group_connectors.get(&(source, from, to)) {
             return fid;
         }
+        // As with connectors: the first copy keeps the roadblock's number.
         let taken = self
             .graph
             .group_connectors

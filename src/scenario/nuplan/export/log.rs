@@ -74,6 +74,7 @@ pub(super) fn write_log(
     timeline: &Timeline,
 ) -> rusqlite::Result<()> {
     let mut connection = Connection::open(path)?;
+    // No journal: the file lies in a folder that only a whole export makes visible.
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
     let transaction = connection.transaction()?;
     for table in LOG_TABLES {
@@ -152,6 +153,8 @@ impl Writer<'_> {
                 params![self.category(kind), kind.to_string(), ""],
             )?;
         }
+        // Every scene gets the goal and the route, because nuPlan reads those of the row's own
+        // scene.
         let goal = scenario
             .route
             .goal
@@ -249,6 +252,7 @@ impl Writer<'_> {
         let mut insert = self
             .transaction
             .prepare_cached(&TRAFFIC_LIGHT_STATUS.insert())?;
+        // One lane may have become several connectors; nuPlan looks a light up by connector.
         let lights = row.lights.iter().flat_map(|(lane, status)| {
             self.facts
                 .connectors
@@ -273,6 +277,7 @@ impl Writer<'_> {
         let mut insert = self.transaction.prepare_cached(&EGO_POSE.insert())?;
         let (v, a, yaw_rate) = (ego.velocity, ego.acceleration, ego.angular_velocity);
         let log = self.tokens.token("log", 0);
+        // nuPlan's planar state needs yaw only, so roll, pitch and height are 0.
         insert.execute(params![
             token,
             ego.time_us,

@@ -217,6 +217,7 @@ pub fn write_scenarios(
             fault: fault.into(),
         },
     };
+    // Before any work: a folder that exists is refused at once. The real name comes with `finish`.
     let staging = WholeFolder::create(folder).map_err(io_failed)?;
     let mut writer = Writer {
         staging: &staging,
@@ -298,6 +299,7 @@ impl Writer<'_> {
         let mut graph = Graph::from_map(&scenario.map).map_err(|fault| failed(fault.into()))?;
         let location = self.write_map(&scenario.map, &mut graph, &scenario.id)?;
         let log = naming::log_name(&scenario.log_name, &scenario.id);
+        // Names of scenarios lose letters that files do not allow, so two may become one.
         if self.logs.iter().any(|written| written.log == log) {
             return Err(ExportError::SameLog(id()));
         }
@@ -342,6 +344,8 @@ impl Writer<'_> {
             fault: fault.into(),
         };
         let layers = features::layers(map, graph, &self.place).map_err(shape_failed)?;
+        // The hash is of what is written, and not of the map: maps that differ only in unwritten
+        // parts share a package.
         let hash = content_hash(&layers, self.place.utm.epsg());
         let location = self.location.map_or_else(
             || format!("planagent-{}", &hash.to_hex()[..16]),

@@ -117,6 +117,7 @@ fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()
 
 fn write_layer(transaction: &Transaction<'_>, filled: &LayerRows) -> rusqlite::Result<()> {
     let Table { name, .. } = filled.layer;
+    // Readers such as GDAL list a layer only where both tables of the standard name it.
     transaction.execute(&filled.layer.created(), [])?;
     let bound = |i: usize| filled.bounds.map(|bounds| bounds[i]);
     transaction.execute(

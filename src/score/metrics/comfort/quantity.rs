@@ -123,6 +123,8 @@ impl ComfortQuantity {
     pub fn signal(self, states: &[EgoState]) -> Result<Vec<f64>, MetricError> {
         let of = |read: fn(&EgoState) -> f64| states.iter().map(read).collect::<Vec<f64>>();
         let step = mean_step_s(states);
+        // nuPlan differentiates the acceleration that is already smoothed, so its jerk is filtered
+        // twice.
         let jerk_of = |acceleration: Self| {
             let filter = SavitzkyGolay {
                 window: JERK_WINDOW,

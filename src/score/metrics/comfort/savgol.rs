@@ -104,6 +104,7 @@ impl Weights {
 
 /// Values rounded to 8 decimals, halves to even, as nuPlan rounds every filtered signal.
 fn rounded(values: Vec<f64>) -> Vec<f64> {
+    /// 8 decimals.
     const SCALE: f64 = 1e8;
     values
         .into_iter()

@@ -61,6 +61,7 @@ pub(super) fn counted(
             .filter_map(|lanes| lanes.first().copied());
         back.find(|&lane| map.roadblock(lane) == map.roadblock(wanted))
     };
+    // The ego may leave the expert's roads; then its last lane on them counts.
     let mut common = ego.iter().rev().filter_map(|lanes| lanes.first().copied());
     let at_end = common.find_map(|own| last_in(expert, own).map(|goal| (own, goal)));
     (

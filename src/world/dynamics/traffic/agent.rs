@@ -182,6 +182,8 @@ impl IdmAgent {
             };
             self.path = Arc::new(path);
             self.progress = 0.0;
+            // Stop lines are sought along the route, and those of lanes far behind no longer
+            // matter.
             if self.route.len() == ROUTE_SEGMENTS {
                 self.route.pop_front();
             }

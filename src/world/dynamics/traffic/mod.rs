@@ -144,6 +144,7 @@ impl IdmTraffic {
                 .iter()
                 .map(|object| Obstacle::standing(Footprint::of_box(object.shape))),
         );
+        // In place and in order: nuPlan's later agents see where the earlier ones have moved to.
         for index in 0..self.agents.len() {
             self.agents[index].extend_route(&self.map, lights);
             let stop_lines = stop_lines_of(&self.map, &self.agents[index], lights);

@@ -124,6 +124,7 @@ impl InteractiveTraffic {
             .others
             .iter()
             .map(|o| (o.shape.center.position(), 0.0, o.shape.length));
+        // The ego counts like an agent, so that MOBIL's safety criterion holds for its gap too.
         let ego = std::iter::once((ego.center().position(), ego.speed(), PACIFICA.length()));
         let on_lane = |(center, speed, length): (Point, f64, f64)| {
             let foot = self.map[lane].centerline.project(center);

@@ -117,6 +117,8 @@ impl InteractiveTraffic {
             .copied()
             .unwrap_or(interaction.behavior)
         {
+            // The coin depends on seed and token alone, so an agent keeps its behavior when others
+            // join or leave.
             DriverBehavior::Mixed if coin(interaction.seed, token) => DriverBehavior::Assertive,
             DriverBehavior::Mixed => DriverBehavior::Cautious,
             behavior => behavior,
@@ -202,6 +204,7 @@ impl InteractiveTraffic {
             heading,
             speed,
         }];
+        // Only agents that yield see where the ego will be; to the others it is what it is now.
         if path.counts_for(&self.map, agent, *behavior, ego) {
             of_ego.push(Obstacle {
                 footprint: path.footprint().clone(),
