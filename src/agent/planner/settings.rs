@@ -26,7 +26,7 @@ pub enum AfterMaxExec {
 #[serde(default, deny_unknown_fields)]
 pub struct CallSettings {
     /// Time between planning calls, seconds (the paper: 2).
-    /// Why: docs/decisions/109-paper-settings.md.
+    /// Why: docs/decisions/130-two-seconds-between-calls.md.
     pub interval_s: f64,
     /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
     /// seconds (the paper: 2).
