@@ -5,18 +5,19 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
-    BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, bev,
+    BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, TextForm, bev,
 };
 use planagent_agent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
 use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder, Ride};
 use planagent_agent::simulation::{Challenge, ClosedLoop, simulate};
+use planagent_lab::dataset::{RewardKind, StateName, rewards};
 use planagent_scenario::generator::{DEFAULT, generate};
 use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent_scenario::{DataRoots, Readers};
+use planagent_scenario::{DataRoots, Readers, Scenario};
 use planagent_score::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals,
     simulate_proposals,
@@ -273,5 +274,46 @@ fn engine(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, engine, steps, pdm_closed, open_scenario);
+/// Rewards of a batch as a trainer asks for them: answers of a group at each of some states.
+fn batch_of_rewards(c: &mut Criterion) {
+    const STATES: usize = 8;
+    const GROUP: u32 = 8;
+    let opens = |seed: &u64| Scenario::open(&format!("generated/changing_lane/{seed}")).is_ok();
+    let questions: Vec<(StateName, String)> = (0_u64..)
+        .filter(opens)
+        .take(STATES)
+        .flat_map(|seed| (0..GROUP).map(move |answer| (seed, answer)))
+        .map(|(seed, answer)| {
+            let state = StateName {
+                scenario: format!("generated/changing_lane/{seed}"),
+                seed: 0,
+                time_s: 0.0,
+                challenge: "nonreactive".to_owned(),
+                scene_text: TextForm::Compact2,
+                driven: String::new(),
+            };
+            let speed = 6 + answer;
+            let line =
+                format!("Generate_IDM_Planner(c=ego_lane, la=None, v0={speed}, acc=1.5, dec=3)");
+            (state, line)
+        })
+        .collect();
+    let mut group = c.benchmark_group("rewards, 8 states with 8 answers");
+    group.throughput(Throughput::Elements(questions.len() as u64));
+    for (name, kind) in RewardKind::NAMED {
+        group.bench_function(name, |b| {
+            b.iter(|| rewards(black_box(&questions), kind).unwrap());
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(
+    benches,
+    engine,
+    steps,
+    pdm_closed,
+    open_scenario,
+    batch_of_rewards
+);
 criterion_main!(benches);

@@ -84,6 +84,7 @@ impl Conversation for Scripted<'_> {
         Ok(Answer {
             text,
             ids: Vec::new(),
+            log_probability: None,
             tokens: TokenCounts::default(),
             time: RoundTime::default(),
             finish: FinishReason::Complete,

@@ -1,5 +1,6 @@
 //! The invariants of ARCHITECTURE.md, read off the sources.
 
+mod comments;
 mod imports;
 
 use imports::Graph;
@@ -102,8 +103,8 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "lab",
         &[
-            &["rank_correlation", "study"],
-            &["bench", "dataset", "tokens"],
+            &["rank_correlation", "study", "tokens"],
+            &["bench", "dataset"],
             &["memory", "realism", "twins"],
             &["report"],
             &["study_runs"],
@@ -558,6 +559,48 @@ fn an_invariant_says_why_it_holds() {
         wrong.is_empty(),
         "reasons of fewer than {MIN_WORDS} words; say why it holds:\n{}",
         wrong.join("\n")
+    );
+}
+
+/// The faults that `find` sees in the sources, each with its place.
+fn without_comment(
+    find: &dyn Fn(&str, &dyn Fn(usize) -> bool) -> Vec<(usize, String)>,
+) -> Vec<String> {
+    let mut found = Vec::new();
+    let is_product = |(file, _): &(String, String)| !file.contains("/tests/");
+    for (file, text) in sources().into_iter().filter(is_product) {
+        let code: BTreeSet<usize> = code_lines(&text).map(|(number, _)| number).collect();
+        let places = find(&text, &|number| code.contains(&number));
+        found.extend(
+            places
+                .into_iter()
+                .map(|(number, name)| format!("{file}:{number}: {name}")),
+        );
+    }
+    found
+}
+
+#[test]
+fn a_long_function_says_why() {
+    /// A longer function is not read at a glance.
+    const MAX_LINES: usize = 30;
+    let found =
+        without_comment(&|text, code| comments::unexplained_functions(text, code, MAX_LINES));
+    assert!(
+        found.is_empty(),
+        "functions over {MAX_LINES} lines without a comment; split them, or say why at the place where \
+        a reader would ask:\n{}",
+        found.join("\n")
+    );
+}
+
+#[test]
+fn a_constant_of_numbers_says_what_they_are() {
+    let found = without_comment(&comments::unexplained_numbers);
+    assert!(
+        found.is_empty(),
+        "constants without a comment; give unit and origin:\n{}",
+        found.join("\n")
     );
 }
 

@@ -13,6 +13,7 @@ from ._observation import EgoState, Lane, Observation, Sample, Trajectory, Traje
 from ._planners import Agent, Planner, planners
 from ._progress import Progress
 from ._results import Results, Table
+from ._rewards import Rewards, reward
 from ._runs import merge, open_run, resume, shard_of_environment, simulate
 from ._scenario import Scenario, find, open, scenario_types
 from ._simulation import Score, Simulation
@@ -31,6 +32,7 @@ __all__ = [
     "Planner",
     "Progress",
     "Results",
+    "Rewards",
     "Sample",
     "Scenario",
     "Score",
@@ -45,6 +47,7 @@ __all__ = [
     "open_run",
     "planners",
     "resume",
+    "reward",
     "scenario_types",
     "set_threads",
     "shard_of_environment",

@@ -27,6 +27,7 @@ __all__ = [
     "open",
     "planners",
     "read_run",
+    "rewards",
     "scenario_of_tables",
     "scenario_types",
     "score_trajectories",
@@ -63,6 +64,9 @@ def scenario_of_tables(
     start: int,
     route_lanes: Sequence[int] | None = None,
 ) -> Scenario: ...
+def rewards(
+    states: Sequence[str], answers: Sequence[str], kind: str
+) -> tuple[bytearray, tuple[list[str], list[str], list[str | None]]]: ...
 def score_trajectories(observation: Observation, packed_poses: bytes, steps: int) -> bytearray: ...
 def shard_of_environment(variables: Mapping[str, str]) -> str | None: ...
 def set_threads(count: int | None = None) -> None:
@@ -78,7 +82,7 @@ class Model:
     def count_tokens(self, text: str) -> int | None: ...
     def ask(
         self, text: str, image: tuple[bytes, int, int] | None, asked: dict[str, Any]
-    ) -> tuple[str, str, str, str]: ...
+    ) -> tuple[str, str, str, str, float | None]: ...
 
 @final
 class NuPlanWorld:

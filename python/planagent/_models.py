@@ -38,6 +38,9 @@ class Answer:
         Numbers of tokens: `text`, `image` and `cached` of the prompt, `sampled` and `fast_forwarded` of the answer.
     milliseconds : dict
         Wall times of the parts, `total` among them.
+    log_probability : float or None
+        The natural logarithm of the probability of what the model chose, among what `choices` or `regex` allowed and at
+        temperature 1; `None` without either, and from a server.
 
     Examples
     --------
@@ -52,6 +55,7 @@ class Answer:
     finish: str
     tokens: dict[str, int]
     milliseconds: dict[str, float]
+    log_probability: float | None = None
 
     def __str__(self) -> str:
         return self.text
@@ -188,8 +192,8 @@ class Model:
             "deadline_s": None if deadline_s is None else real("deadline_s", deadline_s, 0.0, above=True),
             "seed": None if seed is None else whole("seed", seed, 0, 2**64 - 1),
         }
-        answer, finish, tokens, milliseconds = self._native.ask(arguments.text("text", text), picture, asked)
-        return Answer(answer, finish, json.loads(tokens), json.loads(milliseconds))
+        answer, finish, tokens, milliseconds, log = self._native.ask(arguments.text("text", text), picture, asked)
+        return Answer(answer, finish, json.loads(tokens), json.loads(milliseconds), log)
 
 
 def _model(name: str, adapter: str | None, settings: dict[str, Any] | None) -> Model:

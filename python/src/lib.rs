@@ -19,6 +19,7 @@ mod observation;
 mod planner;
 mod python_planner;
 mod relay;
+mod reward;
 mod run;
 mod run_results;
 mod scenario;
@@ -45,6 +46,8 @@ mod _core {
     use crate::observation::{Observation, score_trajectories};
     #[pymodule_export]
     use crate::planner::{Planner, planners};
+    #[pymodule_export]
+    use crate::reward::rewards;
     #[pymodule_export]
     use crate::run::{Run, shard_of_environment};
     #[pymodule_export]

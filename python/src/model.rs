@@ -115,7 +115,7 @@ impl Model {
         text: String,
         image: Option<Picture>,
         asked: Asked,
-    ) -> PyResult<(String, String, String, String)> {
+    ) -> PyResult<(String, String, String, String, Option<f64>)> {
         let (loaded, config_seed) = (Arc::clone(&self.loaded), self.config.seed);
         let question = move || {
             let (model, _, reasoning) = loaded
@@ -157,6 +157,7 @@ impl Model {
                 finish,
                 tokens,
                 json(serde_json::to_string(&answer.time))?,
+                answer.log_probability,
             ))
         };
         long(py, || computed(question), &|| ())

@@ -192,19 +192,48 @@ pub fn attempt(
     graph: &LaneGraph,
     code: PlannerCode,
 ) -> Option<Candidate> {
+    attempts(simulation, graph, &[code]).pop().flatten()
+}
+
+/// As [`attempt`], for several codes that are judged against one view of the scene.
+pub fn attempts(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    codes: &[PlannerCode],
+) -> Vec<Option<Candidate>> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
-    let judge = Judge::new(&scene, graph, (Ride::default(), ROLLOUT_S), &mut memory).ok()?;
-    Present {
+    let Ok(judge) = Judge::new(&scene, graph, (Ride::default(), ROLLOUT_S), &mut memory) else {
+        return vec![None; codes.len()];
+    };
+    let present = Present {
         simulation,
         graph,
         judge: &judge,
         memory: &memory,
         limit,
         horizon: HORIZON,
-    }
-    .attempt(code)
+    };
+    codes.iter().map(|&code| present.attempt(code)).collect()
+}
+
+/// What Reflection says of the plans of several codes at the present state, without a simulation.
+/// None for a code that gives no plan.
+pub fn reflections(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    codes: &[PlannerCode],
+) -> Vec<Option<ReflectionReport>> {
+    let scene = simulation.scene();
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut PdmMemory::default()) else {
+        return vec![None; codes.len()];
+    };
+    let reflect = |&code: &PlannerCode| {
+        let plan = planner(simulation, graph, code)?;
+        judge.reflect(&plan, THRESHOLD).ok()
+    };
+    codes.iter().map(reflect).collect()
 }
 
 /// True if a centerline stays on the route for [`ON_ROUTE_AHEAD`], or to the route's end.

@@ -241,6 +241,7 @@ fn exp(x: f32) -> f32 {
     let series = SERIES
         .into_iter()
         .fold(0.0, |sum, coefficient| sum * r + coefficient);
+    // The lowest bits of `rounded` hold n, see `ROUND`; the shift drops all others.
     let power = rounded.to_bits().wrapping_add(EXPONENT_BIAS) << MANTISSA_BITS;
     series * f32::from_bits(power)
 }

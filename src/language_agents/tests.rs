@@ -83,6 +83,7 @@ impl Conversation for StubChat<'_> {
         Ok(Answer {
             text,
             ids: Vec::new(),
+            log_probability: None,
             tokens: TokenCounts::default(),
             time: RoundTime::default(),
             finish: self.0.finish,

@@ -242,6 +242,9 @@ pub struct Answer {
     pub text: String,
     /// Its tokens, to draft a later answer from; none from a server.
     pub ids: Vec<u32>,
+    /// The natural logarithm of the probability of the tokens that were sampled, under the
+    /// constraint and at temperature 1; none without a constraint, and from a server.
+    pub log_probability: Option<f64>,
     pub tokens: TokenCounts,
     pub time: RoundTime,
     pub finish: FinishReason,

@@ -87,6 +87,31 @@ impl Sampler {
     }
 }
 
+/// The logarithm of the sum of the exponentials of the logits of all allowed tokens but `banned`.
+/// Less this, a logit is the logarithm of the token's probability under the grammar, at temperature
+/// 1.
+pub(crate) fn log_total(logits: &[f32], allowed: Option<&SimpleVob>, banned: u32) -> f64 {
+    let weighed = || {
+        logits
+            .iter()
+            .zip(0..)
+            .filter(|(_, token)| may_follow(*token, allowed, banned))
+            .map(|(logit, _)| f64::from(*logit))
+    };
+    // The highest logit is taken out, because `exp` of a large one overflows.
+    let highest = weighed().fold(f64::NEG_INFINITY, f64::max);
+    highest
+        + weighed()
+            .map(|logit| (logit - highest).exp())
+            .sum::<f64>()
+            .ln()
+}
+
+/// Whether a token is allowed and not banned.
+pub(crate) fn may_follow(token: u32, allowed: Option<&SimpleVob>, banned: u32) -> bool {
+    token != banned && allowed.is_none_or(|allowed| allowed.is_allowed(token))
+}
+
 /// The token of the largest logit, the lowest of equals; `None` if all are minus infinity.
 pub(crate) fn most_likely(logits: &[f32]) -> Option<u32> {
     let mut best = None;

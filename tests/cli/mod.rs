@@ -22,6 +22,7 @@ mod settings;
 mod shards;
 #[cfg(unix)]
 mod streams;
+mod teach;
 mod wild;
 
 use crate::outside::{Missing, Needy, data};

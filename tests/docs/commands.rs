@@ -279,6 +279,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         NETWORK,
     ),
     (
+        "docs/teach.md",
+        "planagent simulate --model FOLDER --adapter adapter",
+        WEIGHTS,
+    ),
+    (
         "docs/nuplan.md",
         "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val",
         NUPLAN,
@@ -651,6 +656,7 @@ pages! {
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",
+    commands_of_teach: "docs/teach.md",
 }
 
 #[test]

@@ -102,6 +102,7 @@ mod tests {
             answer: answer.to_owned(),
             finish,
             constraint: ConstraintUse::NotSent,
+            log_probability: None,
             tokens: TokenCounts::default(),
             tool: None,
             time: RoundTime::default(),

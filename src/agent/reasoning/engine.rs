@@ -66,6 +66,10 @@ pub struct RoundRecord {
     pub finish: FinishReason,
     /// How the round's grammar was used.
     pub constraint: ConstraintUse,
+    /// The natural logarithm of the probability of what the model chose in the answer, among what
+    /// the grammar allowed and at temperature 1; absent without a grammar, and from a server.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub log_probability: Option<f64>,
     /// Tokens read and written.
     pub tokens: TokenCounts,
     /// The tool that the answer calls, with what it gave.
@@ -389,6 +393,7 @@ pub fn round_record(round: impl Into<RoundName>, prompt: String, answer: Answer)
         answer: answer.text,
         finish: answer.finish,
         constraint: answer.constraint,
+        log_probability: answer.log_probability,
         tokens: answer.tokens,
         tool: None,
         time: answer.time,

@@ -1,8 +1,7 @@
 //! PDM-Closed's proposals beside the versions of a plan, judged by the same score.
 
 use super::judge::{ReflectionError, observe_along, score_versions};
-use super::rollout::{IdmPlan, Rollout};
-use super::version::Version;
+use super::rollout::{IdmPlan, Rollout, Version};
 use planagent_score::pdm::{
     PdmMemory, ProposalScore, TRAJECTORY_STEPS, score_proposals, simulate_proposals,
 };

@@ -4,8 +4,7 @@ use super::overtake::OvertakeRules;
 use super::reach::{Compared, MIN_REACH, Reach, is_compared};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::ride::Ride;
-use super::rollout::{IdmPlan, Rollout};
-use super::version::Version;
+use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{

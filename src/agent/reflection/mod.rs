@@ -10,9 +10,9 @@ mod plan_builder;
 mod reach;
 mod report;
 mod ride;
+mod road;
 mod rollout;
 mod shift;
-mod version;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
@@ -21,5 +21,4 @@ pub(crate) use overtake::allowed_overtake;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use ride::Ride;
-pub use rollout::{IdmPlan, LeadPolicy, Rollout};
-pub use version::Version;
+pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

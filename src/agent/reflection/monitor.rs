@@ -2,8 +2,7 @@
 
 use super::handover::{Handover, better_proposal};
 use super::judge::{ReflectionError, observe, score_versions};
-use super::rollout::IdmPlan;
-use super::version::Version;
+use super::rollout::{IdmPlan, Version};
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
     PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,

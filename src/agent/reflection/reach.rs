@@ -3,8 +3,7 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::ride::Ride;
-use super::rollout::{IdmPlan, LeadPolicy, Rollout};
-use super::version::Version;
+use super::rollout::{IdmPlan, LeadPolicy, Rollout, Version};
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene, score_proposals};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};

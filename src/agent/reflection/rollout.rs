@@ -3,32 +3,28 @@
 use super::path::onto_centerline;
 use super::plan_builder::PlanBuilder;
 use super::ride::{Bends, Ride, Smoothed};
+use super::road::{LeadOnPath, Road};
 use super::shift::shift;
-use super::version::Version;
 use crate::environment::lane_graph::OncomingLane;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
-use planagent_score::pdm::LATERAL_OFFSETS;
-use planagent_world::dynamics::{IdmParameters, Lead};
-use planagent_world::geometry::{
-    Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector,
-};
+use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
+use planagent_world::dynamics::IdmParameters;
+use planagent_world::geometry::{GeometryError, Point, Polyline, Pose};
 use planagent_world::{
-    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, SignalStatus, TrackToken,
-    TrackedObject, Trajectory, TrajectoryError, TrajectoryState,
+    EgoState, LaneId, LanePath, STEP_S, STEP_US, SceneView, TrackToken, Trajectory,
+    TrajectoryError, TrajectoryState,
 };
 
 /// Exponent δ of the plan's IDM (PDM-Closed's).
 /// Why: docs/decisions/103-lead-policy.md.
 const EXPONENT: i32 = 10;
 /// Gap at standstill s0, m (PDM-Closed's).
-const MIN_GAP: f64 = 1.0;
+pub(super) const MIN_GAP: f64 = 1.0;
 /// Headway T, s (PDM-Closed's).
 const HEADWAY: f64 = 1.5;
 /// A desired speed below this means: stand still, m/s.
 const STANDSTILL: f64 = 0.05;
-/// Objects slower than this stand, m/s.
-const STANDING: f64 = 0.2;
 /// Steps between two searches for the lead object, as in PDM-Closed.
 const LEAD_REFRESH: usize = 2;
 /// Deceleration of the stop, m/s²: the highest that a code may contain.
@@ -65,7 +61,7 @@ pub struct IdmPlan {
     /// The way past what blocks the ego's lane, where the plan takes it.
     oncoming: Option<Box<OncomingLane>>,
     /// Where the ego stops in its lane before what it may pass.
-    stop_point: Option<Point>,
+    pub(super) stop_point: Option<Point>,
     /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The
     /// first is the code's, which keeps a distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
@@ -73,6 +69,64 @@ pub struct IdmPlan {
     settled: Point,
     /// The speed that bends allow along the paths.
     bends: Bends,
+}
+
+/// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
+/// PDM-Closed's proposals, or a hard stop. The first is the plan itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Version {
+    /// Index of its path in [`LATERAL_OFFSETS`].
+    path: usize,
+    /// Its share of the desired speed.
+    fraction: f64,
+    /// Whether it comes to that speed as fast as the code allows, whatever the ride.
+    is_brisk: bool,
+}
+
+impl Version {
+    /// The plan itself.
+    pub const PLAN: Self = Self {
+        path: 0,
+        fraction: 1.0,
+        is_brisk: false,
+    };
+    /// A stop on the plan's own path, at the highest deceleration that a code may contain.
+    pub const STOP: Self = Self {
+        path: 0,
+        fraction: 0.0,
+        is_brisk: true,
+    };
+
+    /// The versions along a path, the fastest first. On the plan's own path, those that slow down
+    /// gently come before those that brake; to the side the ego evades something.
+    fn along(path: usize, ride: Ride) -> Vec<Self> {
+        let fractions = || SPEED_FRACTIONS.into_iter().rev();
+        let version = |is_brisk| {
+            move |fraction| Self {
+                path,
+                fraction,
+                is_brisk,
+            }
+        };
+        let slower = fractions().skip(1);
+        match (ride, path) {
+            (Ride::Idm, _) => fractions().map(version(false)).collect(),
+            (Ride::Comfortable, 0) => fractions()
+                .map(version(false))
+                .chain(slower.map(version(true)))
+                .collect(),
+            (Ride::Comfortable, _) => fractions()
+                .take(1)
+                .map(version(false))
+                .chain(slower.map(version(true)))
+                .collect(),
+        }
+    }
+
+    /// Whether it moves along the path of the plan itself.
+    pub fn is_on_own_path(self) -> bool {
+        self.path == 0 && self != Self::STOP
+    }
 }
 
 /// A roll-out: poses of the rear axle with speeds, every 0.1 s, the present one first.
@@ -371,176 +425,4 @@ impl Rollout {
     pub fn distance(&self) -> f64 {
         self.poses.windows(2).map(|w| w[0].distance(&w[1])).sum()
     }
-}
-
-/// The lead object: arc length of its rear on the path, and its speed along the path.
-#[derive(Debug, Clone, Copy)]
-struct LeadOnPath {
-    rear_s: f64,
-    speed: f64,
-}
-
-impl LeadOnPath {
-    /// As IDM takes it, for an ego whose rear axle is at arc length `progress`.
-    fn behind(self, progress: f64) -> Lead {
-        Lead {
-            gap: self.rear_s - progress - PACIFICA.front_length,
-            speed: self.speed,
-        }
-    }
-}
-
-/// The candidates for the lead object along one path during one roll-out.
-struct Road<'a> {
-    path: &'a Polyline,
-    corridor: Corridor,
-    /// Objects that may come onto the corridor within the horizon.
-    objects: Vec<TrackedObject>,
-    named: Option<TrackedObject>,
-    /// Arc length at which the front bumper stops, for a red light or the end of the path.
-    stop_s: f64,
-}
-
-impl<'a> Road<'a> {
-    /// The road of a path: what may come onto it, but for what stands beside it.
-    /// Why: docs/decisions/115-past-what-stands.md.
-    fn new(plan: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
-        let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
-        let seconds = steps as f64 * STEP_S;
-        let footprint = scene.ego.footprint();
-        let may_come = |object: &&TrackedObject| {
-            let later = moved(object, seconds);
-            let sweep = object.shape.bounds().joined(later.bounds());
-            corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
-        };
-        // Beside what stands there is nothing to follow: whether the ego touches it, the score
-        // says. Nor is there behind what stands in the lane where the path leads past it.
-        let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-        let is_beside = |object: &TrackedObject| {
-            let rear_s = object
-                .shape
-                .corners()
-                .map(|corner| path.project(corner).s)
-                .into_iter()
-                .fold(f64::INFINITY, f64::min);
-            object.speed() < STANDING && rear_s < front
-        };
-        let named = plan
-            .lead_agent
-            .and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
-        let (objects, named) = match plan.lead_policy {
-            LeadPolicy::Named => (Vec::new(), named),
-            LeadPolicy::Nearest => {
-                let ahead = scene
-                    .objects
-                    .iter()
-                    .filter(may_come)
-                    .filter(|object| !is_beside(object));
-                let is_passed = |object: &TrackedObject| {
-                    object.speed() < STANDING && !corridor.meets_box(&object.shape)
-                };
-                (
-                    ahead.copied().collect(),
-                    named.filter(|object| !is_beside(object) && !is_passed(object)),
-                )
-            }
-        };
-        let stop_s = match plan.lead_policy {
-            LeadPolicy::Named => path.length(),
-            LeadPolicy::Nearest => {
-                let stops = red_light(plan, path, scene)
-                    .into_iter()
-                    .chain(before_obstacle(plan, path, scene));
-                stops.fold(path.length(), f64::min)
-            }
-        };
-        Self {
-            path,
-            corridor,
-            objects,
-            named,
-            stop_s,
-        }
-    }
-
-    /// The lead object after `seconds`, for an ego at arc length `progress`.
-    fn lead(&self, progress: f64, seconds: f64) -> Option<LeadOnPath> {
-        let front = progress + PACIFICA.front_length;
-        let on_path = self.objects.iter().filter_map(|object| {
-            let shape = moved(object, seconds);
-            if !self.corridor.meets_box(&shape) {
-                return None;
-            }
-            self.place(object, &shape, progress)
-        });
-        let named = self
-            .named
-            .iter()
-            .filter_map(|object| self.place(object, &moved(object, seconds), progress));
-        let stop = (self.stop_s > front - MIN_GAP).then_some(LeadOnPath {
-            rear_s: self.stop_s,
-            speed: 0.0,
-        });
-        on_path
-            .chain(named)
-            .chain(stop)
-            .min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
-    }
-
-    /// The object's place on the path; `None` when its center lies behind the ego's rear axle.
-    fn place(
-        &self,
-        object: &TrackedObject,
-        shape: &OrientedBox,
-        progress: f64,
-    ) -> Option<LeadOnPath> {
-        let foot = self.path.project(shape.center.position());
-        if foot.s <= progress {
-            return None;
-        }
-        let rear_s = shape
-            .corners()
-            .iter()
-            .map(|&corner| self.path.project(corner).s)
-            .fold(f64::INFINITY, f64::min);
-        let along = Vector::new(foot.heading.cos(), foot.heading.sin());
-        Some(LeadOnPath {
-            rear_s,
-            speed: object.velocity.dot(&along).max(0.0),
-        })
-    }
-}
-
-/// The box of an object that keeps its velocity.
-fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
-    let at = object.shape.center.position() + object.velocity * seconds;
-    object
-        .shape
-        .moved_to(Pose::at(at, object.shape.center.heading))
-}
-
-/// Arc length on the path of the place before an obstacle at which the ego can still leave its
-/// lane. Where the ego is beyond that place, it stops as soon as its code allows.
-fn before_obstacle(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
-    let stop_s = path.project(plan.stop_point?).s;
-    let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-    let soonest =
-        front + MIN_GAP + scene.ego.velocity.x.max(0.0).powi(2) / (2.0 * plan.code.decel_max);
-    Some(stop_s.max(soonest))
-}
-
-/// Arc length on the path of the first red light ahead: the start of its connector.
-fn red_light(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
-    let here = plan
-        .lanes
-        .centerline
-        .project(scene.ego.rear_axle.position())
-        .s
-        + PACIFICA.front_length;
-    let lanes = plan.lanes.lanes.iter().zip(&plan.lanes.starts);
-    let red = lanes.filter(|&(&lane, &start)| {
-        start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red)
-    });
-    let start = red.map(|(_, &start)| start).next()?;
-    Some(path.project(plan.lanes.centerline.point_at(start)).s)
 }

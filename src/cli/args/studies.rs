@@ -23,10 +23,13 @@ pub(crate) const BENCH_PROCESS: &str = "bench-process";
 /// Arguments of `dataset`.
 #[derive(Debug, Args)]
 pub(crate) struct DatasetArguments {
-    /// What is trained: a vision-language model (labels), or a learned planner (imitation).
+    /// What is trained: nano (labels), any language model (messages), or a learned planner
+    /// (imitation).
     ///
-    /// labels: images and planner codes, for a vision-language model. imitation: the features of a
-    /// learned planner and what the logged driver did, a sample a second, as safetensors.
+    /// labels: images and planner codes, for nano's trainer. messages: chats of all rounds with
+    /// PNG files, preferences, and all tried codes, as JSON lines for TRL, LLaMA-Factory and
+    /// ms-swift. imitation: the features of a learned planner and what the logged driver did, a
+    /// sample a second, as safetensors.
     #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]
     pub(crate) kind: DatasetKind,
     /// With --for imitation: the learned planner [default: plantf].
@@ -103,6 +106,7 @@ fn share(text: &str) -> Result<f64, String> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DatasetKind {
     Labels,
+    Messages,
     Imitation,
 }
 

@@ -3,16 +3,18 @@
 use crate::args::{DatasetArguments, DatasetKind};
 use crate::progress::listener;
 use crate::{Exit, Printer, interrupt};
-#[cfg(feature = "learned")]
-use anyhow::Context;
-use anyhow::bail;
+use anyhow::{Context, bail};
 use planagent_agent::environment::BevView;
 use planagent_agent::reasoning::PromptSet;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use planagent_lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
+use planagent_lab::dataset::{
+    Counts, MessageModel, Settings, check_folder, check_messages, write_message_card,
+    write_messages, write_split, write_twins,
+};
+use planagent_mllm::ModelSource;
 use planagent_runs::report::check_writable;
-use planagent_runs::runner::{Config, load_model};
+use planagent_runs::runner::{Config, load_model, model_registry};
 use planagent_runs::worker::seeds::Split;
 #[cfg(feature = "learned")]
 use planagent_scenario::Readers;
@@ -35,9 +37,15 @@ pub(crate) fn run(
     interrupt::advise("the same command goes on", printer)?;
     // Before a folder begins that may take hours.
     check_options(flags)?;
-    if flags.kind == DatasetKind::Imitation {
-        return imitation(flags, config, printer);
+    match flags.kind {
+        DatasetKind::Labels => labels(flags, config, printer),
+        DatasetKind::Messages => messages(flags, config, printer),
+        DatasetKind::Imitation => imitation(flags, config, printer),
     }
+}
+
+/// Writes labeled states as nano's trainer reads them.
+fn labels(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
     let settings = Settings {
@@ -62,6 +70,7 @@ pub(crate) fn run(
         (Split::Train, flags.states),
         (Split::Validation, flags.validation),
     ];
+    // States that a model reached are for training alone.
     for (split, states) in splits
         .into_iter()
         .filter(|(split, _)| *split == Split::Train || !flags.driven)
@@ -99,14 +108,81 @@ pub(crate) fn run(
     Ok(Exit::Success)
 }
 
-/// Refuses options of the other kind of dataset.
+/// Writes conversations, preferences and tried codes as other trainers read them.
+fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let (model, prompt_set) = message_model(config, printer)?;
+    let prompts = PromptSet::open(&prompt_set)?;
+    // A view is drawn for a model that reads text alone, too, and written nowhere.
+    let pixels = model.image_pixels.unwrap_or(BevView::default().pixels());
+    let settings = Settings {
+        seed: config.seed,
+        prompts: &prompts,
+        view: BevView::new(pixels, config.environment.view_m)?,
+        driver: None,
+        modified: flags.modified,
+    };
+    check_messages(&flags.out, &settings, &model)?;
+    for (split, states) in [
+        (Split::Train, flags.states),
+        (Split::Validation, flags.validation),
+    ] {
+        let bar = printer.progress(states as u64, "states");
+        bar.set_message(split.as_str());
+        let written = write_messages(&flags.out, split, states, &settings, &model, &|states| {
+            bar.inc(states as u64);
+        })?;
+        bar.finish_and_clear();
+        printer.note(format!("{}: {written} conversations", split.as_str()));
+        if printer.is_json() {
+            printer
+                .json(&serde_json::json!({"split": split.as_str(), "conversations": written}))?;
+        }
+    }
+    write_message_card(&flags.out, &settings, &model)?;
+    printer.note(format!(
+        "data card: {}",
+        flags.out.join("README.md").display()
+    ));
+    Ok(Exit::Success)
+}
+
+/// What is known of the configured model without its weights, and its prompt set.
+fn message_model(config: &Config, printer: Printer) -> anyhow::Result<(MessageModel, String)> {
+    let registry = model_registry(config, &listener(printer));
+    let spec = registry.find(&config.mllm.model)?;
+    let asking = registry.asking_here(&spec);
+    let prompt_set = match &config.reasoning.prompt_set {
+        Some(set) => set.clone(),
+        None => asking?.prompt_set,
+    };
+    let (image_pixels, image_tokens) = if let ModelSource::Endpoint(server) = &spec.source {
+        (Some(server.image_size), None)
+    } else {
+        let outline = registry.outline(&spec).with_context(|| {
+            format!(
+                "--model {}: neither its files nor the shape of its repository are known here",
+                config.mllm.model
+            )
+        })?;
+        let pixels = outline.image_size.map(|pixels| pixels as u32);
+        (pixels, pixels.map(|_| outline.image_tokens))
+    };
+    let model = MessageModel {
+        name: spec.name,
+        image_pixels: image_pixels.filter(|_| config.environment.bev),
+        image_tokens,
+    };
+    Ok((model, prompt_set))
+}
+
+/// Refuses options of the other kinds of dataset.
 fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
     let of_labels = [
         ("--driven", flags.driven),
-        ("--modified", flags.modified > 0.0),
         ("--twins", flags.twins > 0),
         ("--validation-twins", flags.validation_twins > 0),
     ];
+    let modified = [("--modified", flags.modified > 0.0)];
     #[cfg(feature = "learned")]
     let of_imitation = [
         ("--planner", flags.planner.is_some()),
@@ -115,14 +191,18 @@ fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
     ];
     #[cfg(not(feature = "learned"))]
     let of_imitation = [];
-    let (kind, foreign): (&str, &[(&str, bool)]) = match flags.kind {
-        DatasetKind::Labels => ("imitation", &of_imitation),
-        DatasetKind::Imitation => ("labels", &of_labels),
+    // Options that another kind has.
+    let foreign: &[(&str, &[(&str, bool)])] = match flags.kind {
+        DatasetKind::Labels => &[("imitation", &of_imitation)],
+        DatasetKind::Messages => &[("imitation", &of_imitation), ("labels", &of_labels)],
+        DatasetKind::Imitation => &[("labels", &of_labels), ("labels", &modified)],
     };
-    match foreign.iter().find(|(_, is_given)| *is_given) {
-        Some((option, _)) => bail!("{option} belongs to --for {kind}"),
-        None => Ok(()),
+    for (kind, options) in foreign {
+        if let Some((option, _)) = options.iter().find(|(_, is_given)| *is_given) {
+            bail!("{option} belongs to --for {kind}");
+        }
     }
+    Ok(())
 }
 
 /// Writes the samples of a learned planner.

@@ -54,46 +54,50 @@ impl PackedKeyValues {
             keys: Vec::new(),
             values: Vec::new(),
         };
-        let (key_vectors, value_vectors) = (held.key_vectors(), held.value_vectors());
-        // Keys lie feature by feature, so that one vector scores sixteen keys at once. Values lie
-        // key by key, as their weighted sum reads them.
-        held.keys = vec![[0.0; LANES]; batch * heads * width * key_vectors];
-        held.values = vec![[0.0; LANES]; batch * heads * count * value_vectors];
         with_values(keys, |keys| {
-            for (place, packed) in held.keys.chunks_exact_mut(width * key_vectors).enumerate() {
-                let (member, head) = (place / heads, place % heads);
-                for (i, key) in keys
-                    .chunks_exact(all)
-                    .skip(member * count)
-                    .take(count)
-                    .enumerate()
-                {
-                    for (row, value) in packed
-                        .chunks_exact_mut(key_vectors)
-                        .zip(&key[head * width..])
-                    {
-                        row[i / LANES][i % LANES] = *value;
-                    }
-                }
-            }
+            held.fill_keys(keys);
             Ok(())
         })?;
         with_values(values, |values| {
-            for (place, packed) in held
-                .values
-                .chunks_exact_mut(count * value_vectors)
-                .enumerate()
-            {
-                let (member, head) = (place / heads, place % heads);
-                let rows = values.chunks_exact(all).skip(member * count);
-                for (packed, value) in packed.chunks_exact_mut(value_vectors).zip(rows) {
-                    packed.as_flattened_mut()[..width]
-                        .copy_from_slice(&value[head * width..][..width]);
-                }
-            }
+            held.fill_values(values);
             Ok(())
         })?;
         Ok(held)
+    }
+
+    /// Keys lie feature by feature, so that one vector scores sixteen keys at once.
+    fn fill_keys(&mut self, keys: &[f32]) {
+        let (key_vectors, all) = (self.key_vectors(), self.heads * self.width);
+        let (heads, width) = (self.heads, self.width);
+        self.keys = vec![[0.0; LANES]; self.batch * heads * width * key_vectors];
+        let packed = self.keys.chunks_exact_mut(width * key_vectors);
+        for (place, packed) in packed.enumerate() {
+            let (member, head) = (place / heads, place % heads);
+            let rows = keys.chunks_exact(all).skip(member * self.count);
+            for (i, key) in rows.take(self.count).enumerate() {
+                for (row, value) in packed
+                    .chunks_exact_mut(key_vectors)
+                    .zip(&key[head * width..])
+                {
+                    row[i / LANES][i % LANES] = *value;
+                }
+            }
+        }
+    }
+
+    /// Values lie key by key, as their weighted sum reads them.
+    fn fill_values(&mut self, values: &[f32]) {
+        let (value_vectors, all) = (self.value_vectors(), self.heads * self.width);
+        let (heads, width) = (self.heads, self.width);
+        self.values = vec![[0.0; LANES]; self.batch * heads * self.count * value_vectors];
+        let packed = self.values.chunks_exact_mut(self.count * value_vectors);
+        for (place, packed) in packed.enumerate() {
+            let (member, head) = (place / heads, place % heads);
+            let rows = values.chunks_exact(all).skip(member * self.count);
+            for (packed, value) in packed.chunks_exact_mut(value_vectors).zip(rows) {
+                packed.as_flattened_mut()[..width].copy_from_slice(&value[head * width..][..width]);
+            }
+        }
     }
 
     fn key_vectors(&self) -> usize {

@@ -111,11 +111,11 @@ impl Answer {
 
 /// The instruction of the search, with reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Instruction {
-    lateral: Lateral,
-    why_lateral: LateralReason,
-    longitudinal: Longitudinal,
-    why_longitudinal: LongitudinalReason,
+pub(super) struct Instruction {
+    pub(super) lateral: Lateral,
+    pub(super) why_lateral: LateralReason,
+    pub(super) longitudinal: Longitudinal,
+    pub(super) why_longitudinal: LongitudinalReason,
 }
 
 /// The label of a state, without its occupancy grids. The first prompt contains `feedback` on a
@@ -275,7 +275,7 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
 }
 
 /// The limit that the text of a prompt set gives, m/s: the map's, or its estimate.
-fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
+pub(super) fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
     let unknown = if prompts.forms().scene_text == TextForm::Compact {
         f64::INFINITY
     } else {
@@ -284,7 +284,13 @@ fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
     graph.ego_lane().speed_limit.unwrap_or(unknown)
 }
 
-fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f64) -> Instruction {
+/// The instruction that a code follows from, with the reasons that the scene shows.
+pub(super) fn instruction(
+    graph: &LaneGraph,
+    facts: &SceneFacts,
+    best: &Candidate,
+    limit: f64,
+) -> Instruction {
     let lateral = match best.code.centerline {
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::RightLane => Lateral::ChangeRight,

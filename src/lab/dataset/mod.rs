@@ -9,15 +9,21 @@ pub mod imitation;
 mod label;
 mod label_weights;
 mod lessons;
+mod messages;
+mod reward;
 mod scenes;
 mod shard;
+mod state_name;
 mod states;
 pub mod twins;
 
 pub use count::Counts;
 pub(crate) use label::LabeledState;
+pub use messages::{MessageModel, check_messages, write_message_card, write_messages};
+pub use reward::{Reward, RewardError, RewardKind, RewardOutcome, rewards};
 pub(crate) use scenes::training_scenarios;
 pub use shard::{FORMAT, Meta, ShardError};
+pub use state_name::{StateError, StateName};
 
 use image::RgbImage;
 use planagent_agent::environment::{BevError, BevView};

@@ -183,7 +183,7 @@ pub(super) fn write(
     Ok(count)
 }
 
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ShardError> {
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ShardError> {
     write_within(path, bytes).map_err(|source| ShardError::Write {
         path: path.to_owned(),
         source,

@@ -6,15 +6,17 @@ use super::lessons::lessons;
 use super::{Settings, scenes};
 use image::RgbImage;
 use planagent_agent::environment::{
-    BevView, GraphedScene, LaneGraph, OccupancyGrid, SceneFacts, bev,
+    BevView, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, LaneGraphError, OccupancyGrid,
+    SceneFacts, TextForm, bev,
 };
 use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
-use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
+use planagent_agent::reasoning::{Feedback, PlannerCode, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_controls::search::{self, Candidate};
 use planagent_scenario::generator::Spec;
 use planagent_score::pdm::PdmMemory;
+use planagent_world::SceneView;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -29,11 +31,95 @@ const RETHINK: f64 = 0.4;
 /// Iterations of the occupancy grids after the state: 1 s and 2 s.
 const LATER: [usize; 2] = [10, 20];
 
+/// A state that a walk through a scenario comes to, with what the search found there.
+pub(super) struct VisitedState<'a> {
+    pub(super) simulation: &'a ClosedLoop<'a>,
+    pub(super) challenge: Challenge,
+    pub(super) graph: &'a LaneGraph,
+    pub(super) facts: &'a SceneFacts,
+    /// What the search tried.
+    pub(super) tried: &'a [Candidate],
+    pub(super) best: &'a Candidate,
+    /// The BEV map in the view of the settings.
+    pub(super) image: &'a RgbImage,
+    /// Grids of the state, now and [`LATER`].
+    pub(super) occupancy: &'a [String; 3],
+    /// The codes that controlled the ego before, each with its iterations; none where a model did.
+    pub(super) driven: &'a [(PlannerCode, usize)],
+}
+
+impl VisitedState<'_> {
+    /// Time after the start of the scenario, seconds.
+    pub(super) fn time_s(&self) -> f64 {
+        self.simulation.iteration() as f64 * planagent_world::STEP_S
+    }
+}
+
+/// The lane graph of a scene as a prompt set with this form of text sees it.
+pub(super) fn lane_graph(
+    scene: &SceneView<'_>,
+    form: TextForm,
+) -> Result<LaneGraph, LaneGraphError> {
+    let mut graph = LaneGraph::build(scene, DEFAULT_NODE_LENGTH)?;
+    if form.names_oncoming_lane() {
+        graph = graph.with_oncoming_lane(scene);
+    }
+    if !form.names_goal() {
+        graph.goal = None;
+    }
+    Ok(graph)
+}
+
 /// Labeled states of one scenario; none if the generator discards all its draws.
 pub(super) fn label_scenario(
     spec: &Spec,
     settings: &Settings<'_>,
 ) -> Result<Vec<(LabeledState, RgbImage)>, PromptError> {
+    walk(spec, settings, &|visited, feedback| {
+        let VisitedState {
+            graph,
+            facts,
+            tried,
+            best,
+            ..
+        } = *visited;
+        // After a rejection another attempt costs nothing more, so the decisions weigh differently.
+        let weights = DecisionWeights::from_candidates(best, tried, feedback.is_some());
+        let lessons = lessons(best, tried, feedback.is_some());
+        let feedback = feedback
+            .map(|feedback| feedback_text(settings.prompts, &feedback))
+            .transpose()?;
+        let name = format!(
+            "{}@{:.1}",
+            visited.simulation.scenario().id,
+            visited.time_s()
+        );
+        let label = label::label(
+            name,
+            graph,
+            facts,
+            best,
+            weights,
+            settings.prompts,
+            feedback.as_deref(),
+        )?;
+        let tried = label::tried_codes(graph, facts, &lessons, settings.prompts);
+        let label = LabeledState {
+            occupancy: visited.occupancy.clone(),
+            tried,
+            ..label
+        };
+        Ok((label, visited.image.clone()))
+    })
+}
+
+/// Makes something of each state of one scenario, perhaps with feedback on a rejected code. The same
+/// settings lead to the same states, whatever is made of them.
+pub(super) fn walk<T>(
+    spec: &Spec,
+    settings: &Settings<'_>,
+    make: &dyn Fn(&VisitedState<'_>, Option<Feedback>) -> Result<T, PromptError>,
+) -> Result<Vec<T>, PromptError> {
     let mut random =
         Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let Some(scenario) = scenes::scenario(spec, settings) else {
@@ -44,61 +130,37 @@ pub(super) fn label_scenario(
         return Ok(Vec::new());
     };
     let mut agent = settings.driver.and_then(|parts| parts.agent(&scenario.id));
-    let mut states = Vec::new();
+    let (mut states, mut driven) = (Vec::new(), Vec::new());
     loop {
         let scene = simulation.scene();
-        let Ok(mut graph) =
-            LaneGraph::build(&scene, planagent_agent::environment::DEFAULT_NODE_LENGTH)
-        else {
+        let Ok(graph) = lane_graph(&scene, settings.prompts.forms().scene_text) else {
             break;
         };
-        let form = settings.prompts.forms().scene_text;
-        if form.names_oncoming_lane() {
-            graph = graph.with_oncoming_lane(&scene);
-        }
-        if !form.names_goal() {
-            graph.goal = None;
-        }
         let tried = search::search(&simulation, &graph);
         let Some(best) = search::best(&tried) else {
             break;
         };
         let facts = SceneFacts::from_scene(GraphedScene::new(&scene, &graph));
-        let name = format!(
-            "{}@{:.1}",
-            scenario.id,
-            simulation.iteration() as f64 * planagent_world::STEP_S
-        );
         let image = bev::render(&scene, &settings.view);
         let Some(occupancy) = occupancy(&simulation, &graph, best, &settings.view) else {
             break;
         };
-        let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
-            let weights = DecisionWeights::from_candidates(best, &tried, feedback.is_some());
-            let lessons = lessons(best, &tried, feedback.is_some());
-            let feedback = feedback
-                .map(|feedback| feedback_text(settings.prompts, &feedback))
-                .transpose()?;
-            let label = label::label(
-                name.clone(),
-                &graph,
-                &facts,
-                best,
-                weights,
-                settings.prompts,
-                feedback.as_deref(),
-            )?;
-            let tried = label::tried_codes(&graph, &facts, &lessons, settings.prompts);
-            states.push((
-                LabeledState {
-                    occupancy: occupancy.clone(),
-                    tried,
-                    ..label
-                },
-                image.clone(),
-            ));
+        let visited = VisitedState {
+            simulation: &simulation,
+            challenge,
+            graph: &graph,
+            facts: &facts,
+            tried: &tried,
+            best,
+            image: &image,
+            occupancy: &occupancy,
+            driven: &driven,
+        };
+        let mut note = |feedback: Option<Feedback>| -> Result<(), PromptError> {
+            states.push(make(&visited, feedback)?);
             Ok(())
         };
+        let mut code = None;
         // The label is also the right answer after a rejection: it is accepted, or it is the best
         // of the rejected.
         let planner = if let Some(agent) = &mut agent {
@@ -112,14 +174,14 @@ pub(super) fn label_scenario(
             {
                 break;
             }
-            label(None)?;
+            note(None)?;
             let call = agent.calls().last();
             for rejected in call
                 .iter()
                 .flat_map(|call| &call.attempts)
                 .filter(|attempt| is_rejected(attempt))
             {
-                label(Some(rejected.feedback(search::THRESHOLD)))?;
+                note(Some(rejected.feedback(search::THRESHOLD)))?;
             }
             agent.state().active_plan().cloned()
         } else {
@@ -130,23 +192,19 @@ pub(super) fn label_scenario(
             let reported = rejected
                 .choose(&mut random)
                 .filter(|_| random.random_bool(RETHINK));
-            label(reported.map(|candidate| candidate.feedback()))?;
+            note(reported.map(|candidate| candidate.feedback()))?;
             let next = if random.random_bool(EXPLORE) {
                 tried.choose(&mut random).unwrap_or(best)
             } else {
                 best
             };
+            code = Some(next.code);
             search::planner(&simulation, &graph, next.code)
         };
         let Some(planner) = planner else { break };
-        if search::follow(
-            &mut simulation,
-            &planner,
-            &mut PdmMemory::default(),
-            random.random_range(GAP),
-        )
-        .is_none()
-        {
+        let gap = random.random_range(GAP);
+        driven.extend(code.map(|code| (code, gap)));
+        if search::follow(&mut simulation, &planner, &mut PdmMemory::default(), gap).is_none() {
             break;
         }
     }

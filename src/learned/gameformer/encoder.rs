@@ -105,7 +105,7 @@ impl SceneEncoder {
                     .forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?,
             ))
         };
-        // The histories of the neighbors take about as long as everything else, hence two threads.
+        // Two threads, since neither part needs the other's result.
         let ((ego, map), neighbors) = rayon::join(
             || (self.ego.last(&inputs.ego), map()),
             || self.neighbors.last(&histories),

@@ -154,8 +154,8 @@ impl Kernel for Walks<'_> {
         let goal = of_nodes.len() - 1;
         for (heard, traversal) in self.heard.chunks_exact_mut(ATTENTION).zip(self.traversals) {
             let nodes = traversal.map(|node| goal.min(node as usize));
-            // Heads are the innermost dimension everywhere, so that each inner loop is one vector
-            // operation.
+            // Heads are the innermost dimension everywhere, so that inner loops are vector
+            // operations.
             let mut shares = [[0f32; HEADS]; TRAVERSAL];
             let mut largest = [f32::NEG_INFINITY; HEADS];
             for ((shares, &node), step) in shares.iter_mut().zip(&nodes).zip(of_steps) {

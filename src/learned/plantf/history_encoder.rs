@@ -98,8 +98,7 @@ impl HistoryEncoder {
             .max(D::Minus1)?
             .flatten_all()?
             .to_vec1::<u8>()?;
-        // Attention takes most of the time, and rows of agents that were never seen stay zero
-        // anyway.
+        // Rows of agents that were never seen stay zero, so they need not be computed.
         let places: Vec<u32> = (0u32..)
             .zip(&seen)
             .filter(|&(_, &seen)| seen != 0)

@@ -36,6 +36,8 @@ mod merge_tests;
 mod reference_tests;
 #[cfg(test)]
 mod test_adapter;
+#[cfg(test)]
+mod written_tests;
 
 pub(crate) use about::PEFT_CONFIG;
 pub use spec::AdapterSpec;

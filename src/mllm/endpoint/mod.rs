@@ -232,6 +232,7 @@ impl EndpointConversation<'_> {
         });
         Ok(Answer {
             ids: Vec::new(),
+            log_probability: None,
             tokens: reply.tokens,
             finish: reply.finish,
             constraint: chat::constraint_use(settings, &request.constraint, &text),

@@ -6,7 +6,7 @@ use super::likeliest::Search;
 use super::sequence::Sequence;
 use crate::decoder::Logits;
 use crate::family::{ImageFeatures, VisionLanguageModel};
-use crate::sampling::Sampler;
+use crate::sampling::{Sampler, log_total};
 use crate::text::GrammarState;
 use crate::{Deadline, FinishReason, MllmError, milliseconds};
 use candle_core::Tensor;
@@ -24,6 +24,9 @@ pub(super) struct Generated {
     pub(super) drafted: usize,
     /// Number of those that the answer has.
     pub(super) accepted: usize,
+    /// The logarithm of the probability of the sampled tokens under the grammar, at temperature 1;
+    /// none without a grammar.
+    pub(super) log_probability: Option<f64>,
     pub(super) finish: FinishReason,
     /// Duration of the first forward pass, over the prompt.
     pub(super) prefill: f64,
@@ -111,6 +114,7 @@ pub(super) fn generate(
             fast_forwarded: 0,
             drafted: 0,
             accepted: 0,
+            log_probability: grammar.as_ref().map(|_| 0.0),
             finish: at_budget,
             prefill: 0.0,
             prefill_end: milliseconds(start.elapsed()),
@@ -196,11 +200,18 @@ impl Generation<'_> {
         self.needed = self.ahead.start() + self.pending.len();
         // An answer has no image, so the placeholder is never sampled.
         let (banned, position) = (self.model.info().image_token, self.needed.saturating_sub(1));
-        let Some(search) = &mut self.search else {
+        if self.search.is_none() && self.out.log_probability.is_none() {
             return sampler.choose(logits, allowed, banned, position);
-        };
+        }
         let token = sampler.choose(logits.clone(), allowed, banned, position)?;
-        search.note(&self.out.ids, token, &logits, allowed, banned);
+        if let Some(search) = &mut self.search {
+            search.note(&self.out.ids, token, &logits, allowed, banned);
+        }
+        if let (Some(log), Some(chosen)) =
+            (&mut self.out.log_probability, logits.get(token as usize))
+        {
+            *log += f64::from(*chosen) - log_total(&logits, allowed, banned);
+        }
         Ok(token)
     }
 

@@ -6,6 +6,7 @@
 //! search, as in A* with nothing to estimate.
 
 use crate::Answer;
+use crate::sampling::{log_total, may_follow};
 use toktrie::SimpleVob;
 
 /// Alternatives to a chosen token that are kept: more than any choice in a planner code has.
@@ -57,25 +58,13 @@ impl Search {
         allowed: Option<&SimpleVob>,
         banned: u32,
     ) {
-        let may_follow =
-            |token: u32| token != banned && allowed.is_none_or(|allowed| allowed.is_allowed(token));
-        let weighed = || {
-            logits
-                .iter()
-                .zip(0..)
-                .filter(|(_, token)| may_follow(*token))
-                .map(|(l, token)| (f64::from(*l), token))
-        };
-        let highest = weighed()
-            .map(|(logit, _)| logit)
-            .fold(f64::NEG_INFINITY, f64::max);
-        // The highest logit is taken out, because `exp` of a large one overflows.
-        let total = highest
-            + weighed()
-                .map(|(logit, _)| (logit - highest).exp())
-                .sum::<f64>()
-                .ln();
-        let mut others: Vec<(f64, u32)> = weighed().filter(|(_, token)| *token != chosen).collect();
+        let total = log_total(logits, allowed, banned);
+        let mut others: Vec<(f64, u32)> = logits
+            .iter()
+            .zip(0..)
+            .filter(|(_, token)| *token != chosen && may_follow(*token, allowed, banned))
+            .map(|(logit, token)| (f64::from(*logit), token))
+            .collect();
         others.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (logit, token) in others.into_iter().take(MAX_ALTERNATIVES) {
             let tokens = [answer, &[token]].concat();
@@ -92,8 +81,10 @@ impl Search {
 
     /// Keeps a completed answer and turns to the likeliest beginning that is left; `false` when the
     /// likeliest answers are found.
-    pub(super) fn turn_to_next(&mut self, answer: Answer) -> bool {
+    pub(super) fn turn_to_next(&mut self, mut answer: Answer) -> bool {
         self.completed += 1;
+        // Its beginning was given, so that the answer itself counts the rest alone.
+        answer.log_probability = Some(self.log_probability);
         // A text can be spelled with other tokens; its likeliest spelling counts.
         match self
             .answers

@@ -119,6 +119,18 @@ fn the_likeliest_answers_are_those_of_all_answers() {
             texts.iter().map(|(text, log)| (text, *log)).collect();
         expected.sort_by(|a, b| b.1.total_cmp(&a.1));
         let expected: Vec<&str> = expected.iter().map(|(text, _)| text.as_str()).collect();
+        // A plain answer says how likely its own spelling is.
+        let mut conversation = local.converse(&PromptPrefix::default(), 5).unwrap();
+        let greedy = conversation
+            .ask(PROMPT, &request(constraint(), 40))
+            .unwrap();
+        let likely = greedy.log_probability.unwrap();
+        assert!(
+            spellings
+                .iter()
+                .any(|(log, text)| *text == greedy.text && (log - likely).abs() < 1e-3),
+            "{name}: {likely} of {spellings:?}"
+        );
         for count in [1, 2, 4, 12, 20] {
             let mut conversation = local.converse(&PromptPrefix::default(), 5).unwrap();
             let answers = conversation
@@ -130,6 +142,11 @@ fn the_likeliest_answers_are_those_of_all_answers() {
                 expected[..count.min(12)],
                 "{name}: {count} of {spellings:?}"
             );
+            for answer in &answers {
+                let found = answer.log_probability.unwrap();
+                let expected = texts[&answer.text];
+                assert!((found - expected).abs() < 1e-3, "{found} {expected}");
+            }
             // The likeliest answer is the turn; the next round sees the same chat as after a plain
             // answer.
             let next = conversation

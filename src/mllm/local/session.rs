@@ -361,6 +361,7 @@ impl LocalConversation<'_> {
                 remote: 0.0,
                 total: prefix_time + milliseconds(start.elapsed()),
             },
+            log_probability: generated.log_probability,
             finish: generated.finish,
             constraint: match request.constraint {
                 Constraint::Free => ConstraintUse::Unconstrained,

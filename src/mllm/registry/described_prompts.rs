@@ -1,9 +1,42 @@
 //! The prompts of a description: a set of the program, or a folder of one's own.
 
-use super::description::PromptSet;
 use planagent_files::word_of;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+
+/// The prompt sets of `prompts/`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PromptSet {
+    /// Plain English in few tokens, for general models on a small computer.
+    Brief,
+    /// Few tokens, for models trained on them.
+    Compact,
+    /// The same with estimates of unknown limits and three more questions.
+    #[serde(rename = "compact-2")]
+    Compact2,
+    /// The paper's wording, for general models.
+    Paper,
+}
+
+impl PromptSet {
+    pub(super) const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
+
+    /// Its name in `prompts/`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Brief => "brief",
+            Self::Compact => "compact",
+            Self::Compact2 => "compact-2",
+            Self::Paper => "paper",
+        }
+    }
+
+    /// The set of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|set| set.name() == name)
+    }
+}
 
 /// The prompts that a description names: a set of `prompts/`, or a folder of templates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,13 +2,12 @@
 
 use super::described_prompts::DescribedPrompts;
 use super::generation::GenerationSettings;
-use super::hub::{HubName, addressed, plain, without_owner};
+use super::model_source::ModelSource;
 use super::without_tower;
 use crate::checkpoint::read_text;
 use crate::{AdapterSpec, Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
 use serde::{Deserialize, Serialize};
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,172 +53,6 @@ pub struct ModelSpec {
     pub trusted: bool,
 }
 
-/// Where the files of a model are, or the server that computes it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged, deny_unknown_fields)]
-pub enum ModelSource {
-    /// A folder; a relative path starts at the description.
-    Folder {
-        folder: PathBuf,
-    },
-    /// A GGUF file; a relative path starts at the description.
-    File {
-        /// The decoder, or the whole model.
-        file: PathBuf,
-        /// The vision tower; none for the one beside the decoder.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        mmproj: Option<PathBuf>,
-    },
-    /// A repository of the Hugging Face hub.
-    Hub {
-        /// `organization/name`.
-        hub: String,
-        /// Branch, tag or commit.
-        #[serde(default = "default_revision")]
-        revision: String,
-        /// The GGUF file of the repository; none for a repository of safetensors.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        file: Option<String>,
-        /// The weight format of the GGUF file, where its name is not given, as llama.cpp writes it
-        /// behind a colon (`Q4_K_M`).
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        quant: Option<String>,
-        /// The vision tower for the GGUF file; none for the one of the repository that fits best.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        mmproj: Option<String>,
-    },
-    /// Files in the program.
-    Embedded {
-        embedded: String,
-    },
-    Endpoint(EndpointSettings),
-}
-
-impl ModelSource {
-    /// A repository of the hub, or a part of it.
-    pub(super) fn of_hub(name: HubName) -> Self {
-        Self::Hub {
-            hub: name.id,
-            revision: name.revision.unwrap_or_else(default_revision),
-            file: name.file,
-            quant: name.quant,
-            mmproj: None,
-        }
-    }
-
-    /// Reads `hub` as the command line does: an address, or an id with a revision or a file.
-    fn take_hub_name(&mut self) -> Result<(), String> {
-        let Self::Hub {
-            hub,
-            revision,
-            file,
-            quant,
-            ..
-        } = self
-        else {
-            return Ok(());
-        };
-        let named = match addressed(hub) {
-            Some(named) => named.or_else(|problem| without_owner(hub).ok_or(problem))?,
-            None => plain(hub)
-                .or_else(|| without_owner(hub))
-                .ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
-        };
-        *hub = named.id;
-        if let Some(named) = named.revision {
-            *revision = named;
-        }
-        *file = file.take().or(named.file);
-        *quant = quant.take().or(named.quant);
-        if let (Some(file), Some(quant)) = (file, quant) {
-            return Err(format!("file {file} and quant {quant} exclude each other"));
-        }
-        Ok(())
-    }
-
-    /// Joins relative paths to a folder.
-    fn start_at(&mut self, folder: &Path) {
-        let paths = match self {
-            Self::Folder { folder } => [Some(folder), None],
-            Self::File { file, mmproj } => [Some(file), mmproj.as_mut()],
-            Self::Hub { .. } | Self::Embedded { .. } | Self::Endpoint(_) => [None, None],
-        };
-        for path in paths.into_iter().flatten() {
-            *path = folder.join(&*path);
-        }
-    }
-}
-
-/// For messages and lists: a path, the hub id with revision and file, or the server.
-impl fmt::Display for ModelSource {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Folder { folder } => write!(out, "{}", folder.display()),
-            Self::File { file, .. } => write!(out, "{}", file.display()),
-            Self::Embedded { .. } => out.write_str("built in"),
-            Self::Endpoint(settings) => out.write_str(&settings.in_words()),
-            Self::Hub {
-                hub,
-                revision,
-                file,
-                quant,
-                ..
-            } => {
-                write!(out, "{hub}")?;
-                if let Some(file) = file {
-                    write!(out, "/{file}")?;
-                } else if let Some(quant) = quant {
-                    write!(out, ":{quant}")?;
-                }
-                if *revision == default_revision() {
-                    Ok(())
-                } else {
-                    write!(out, " ({revision})")
-                }
-            }
-        }
-    }
-}
-
-/// The default revision of a hub repository.
-pub(super) fn default_revision() -> String {
-    "main".into()
-}
-
-/// The prompt sets of `prompts/`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PromptSet {
-    /// Plain English in few tokens, for general models on a small computer.
-    Brief,
-    /// Few tokens, for models trained on them.
-    Compact,
-    /// The same with estimates of unknown limits and three more questions.
-    #[serde(rename = "compact-2")]
-    Compact2,
-    /// The paper's wording, for general models.
-    Paper,
-}
-
-impl PromptSet {
-    pub(super) const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
-
-    /// Its name in `prompts/`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Brief => "brief",
-            Self::Compact => "compact",
-            Self::Compact2 => "compact-2",
-            Self::Paper => "paper",
-        }
-    }
-
-    /// The set of a name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|set| set.name() == name)
-    }
-}
-
 impl ModelSpec {
     /// A model without a description.
     pub(super) fn plain(name: String, source: ModelSource) -> Self {
@@ -262,99 +95,114 @@ impl ModelSpec {
         let mut spec: Self = toml::from_str(text).map_err(|error| {
             broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string())))
         })?;
+        let base = path.parent().unwrap_or(Path::new(""));
+        spec.check(base).map_err(broken)?;
+        Ok(spec)
+    }
+
+    /// Checks the keys against each other, and makes relative paths start at `base`.
+    fn check(&mut self, base: &Path) -> Result<(), String> {
         // serde checks each key alone; keys that exclude each other are found here.
-        if spec.name.trim().is_empty() {
-            return Err(broken("name is empty".into()));
+        if self.name.trim().is_empty() {
+            return Err("name is empty".into());
         }
-        if spec.prompt_set.is_none() {
-            return Err(broken(
+        let Some(prompts) = &mut self.prompt_set else {
+            return Err(
                 "prompt_set is missing; choose brief, compact, compact-2 or paper, or name a folder of \
                  templates"
                     .into(),
-            ));
+            );
+        };
+        prompts.start_at(base)?;
+        self.check_generation()?;
+        if let ModelSource::Endpoint(settings) = &self.source {
+            self.check_server(settings)?;
         }
-        let base = path.parent().unwrap_or(Path::new(""));
-        if let Some(prompts) = &mut spec.prompt_set {
-            prompts.start_at(base).map_err(broken)?;
-        }
-        let tokens = spec.generation.max_new_tokens;
-        if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
-            return Err(broken(
-                "generation.max_new_tokens: a round needs at least one token".into(),
-            ));
-        }
-        if spec.generation.thinking == Some(0) {
-            return Err(broken(
-                "generation.thinking: it needs at least one token; leave the key out for none"
-                    .into(),
-            ));
-        }
-        if let ModelSource::Endpoint(settings) = &spec.source {
-            if spec.generation.thinking.is_some() {
-                return Err(broken(
-                    "generation.thinking belongs to models of this machine; a server has source.extra"
-                        .into(),
-                ));
-            }
-            settings
-                .described()
-                .map_err(|problem| broken(format!("source: {problem}")))?;
-            if spec.architecture.is_some() || spec.tokenizer.is_some() {
-                return Err(broken(
-                    "architecture and tokenizer belong to the server; remove them".into(),
-                ));
-            }
-        }
-        if matches!(spec.source, ModelSource::Endpoint(_)) && spec.quantize.is_some() {
-            return Err(broken(
-                "quantize belongs to models of this machine; remove it".into(),
-            ));
-        }
-        if matches!(spec.source, ModelSource::Endpoint(_)) && spec.adapter.is_some() {
-            return Err(broken(
-                "adapter belongs to models of this machine; remove it".into(),
-            ));
-        }
-        if let Some(adapter) = &mut spec.adapter {
+        if let Some(adapter) = &mut self.adapter {
             adapter.start_at(base);
         }
-        if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
-            return Err(broken(
-                "image belongs to models of this machine; a server has source.image_size".into(),
-            ));
+        if !self.vision {
+            self.check_blind()
+                .map_err(|problem| format!("vision = false: {problem}"))?;
         }
-        if !spec.vision {
-            spec.check_blind()
-                .map_err(|problem| broken(format!("vision = false: {problem}")))?;
-        }
-        if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
-            return Err(broken("tokenizer: expected files, found a server".into()));
-        }
-        if matches!(
-            spec.draft_model,
-            Some(ModelSource::Endpoint(_) | ModelSource::Embedded { .. })
-        ) {
-            return Err(broken(
-                "draft_model: expected a folder, a GGUF file or a hub id".into(),
-            ));
-        }
-        if spec.draft_model.is_some() && matches!(spec.source, ModelSource::Endpoint(_)) {
-            return Err(broken(
-                "draft_model belongs to models of this machine; a server drafts by itself".into(),
-            ));
-        }
+        self.check_companions()?;
         let sources = [
-            Some(&mut spec.source),
-            spec.tokenizer.as_mut(),
-            spec.draft_model.as_mut(),
+            Some(&mut self.source),
+            self.tokenizer.as_mut(),
+            self.draft_model.as_mut(),
         ];
         for source in sources.into_iter().flatten() {
             source
                 .take_hub_name()
-                .map_err(|problem| broken(format!("source.hub: {problem}")))?;
+                .map_err(|problem| format!("source.hub: {problem}"))?;
             source.start_at(base);
         }
-        Ok(spec)
+        Ok(())
+    }
+
+    fn check_generation(&self) -> Result<(), String> {
+        let tokens = self.generation.max_new_tokens;
+        if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
+            return Err("generation.max_new_tokens: a round needs at least one token".into());
+        }
+        if self.generation.thinking == Some(0) {
+            return Err(
+                "generation.thinking: it needs at least one token; leave the key out for none"
+                    .into(),
+            );
+        }
+        Ok(())
+    }
+
+    /// The keys of a model behind a server, which computes alone.
+    fn check_server(&self, settings: &EndpointSettings) -> Result<(), String> {
+        if self.generation.thinking.is_some() {
+            return Err(
+                "generation.thinking belongs to models of this machine; a server has source.extra"
+                    .into(),
+            );
+        }
+        settings
+            .described()
+            .map_err(|problem| format!("source: {problem}"))?;
+        if self.architecture.is_some() || self.tokenizer.is_some() {
+            return Err("architecture and tokenizer belong to the server; remove them".into());
+        }
+        for (key, is_there) in [
+            ("quantize", self.quantize.is_some()),
+            ("adapter", self.adapter.is_some()),
+        ] {
+            if is_there {
+                return Err(format!(
+                    "{key} belongs to models of this machine; remove it"
+                ));
+            }
+        }
+        if !self.image.is_default() {
+            return Err(
+                "image belongs to models of this machine; a server has source.image_size".into(),
+            );
+        }
+        Ok(())
+    }
+
+    /// The tokenizer and the draft model, which are files of this machine.
+    fn check_companions(&self) -> Result<(), String> {
+        if matches!(self.tokenizer, Some(ModelSource::Endpoint(_))) {
+            return Err("tokenizer: expected files, found a server".into());
+        }
+        if matches!(
+            self.draft_model,
+            Some(ModelSource::Endpoint(_) | ModelSource::Embedded { .. })
+        ) {
+            return Err("draft_model: expected a folder, a GGUF file or a hub id".into());
+        }
+        if self.draft_model.is_some() && matches!(self.source, ModelSource::Endpoint(_)) {
+            return Err(
+                "draft_model belongs to models of this machine; a server drafts by itself".into(),
+            );
+        }
+        Ok(())
     }
 }
 

@@ -6,13 +6,15 @@ mod client;
 mod environment;
 mod files;
 mod name;
+mod page;
 #[cfg(feature = "hub")]
 mod problem;
 
 pub(super) use cache::snapshot_in;
 pub use environment::offline_variable;
 pub(super) use files::{GgufChoice, GgufNames, HubFiles};
-pub(super) use name::{HubName, addressed, is_gguf, plain, without_owner};
+pub(super) use name::{HubName, is_gguf, plain};
+pub(super) use page::{addressed, without_owner};
 
 use crate::MllmError;
 use environment::Environment;

@@ -14,15 +14,17 @@ mod generation;
 )]
 mod hub;
 mod inputs;
+mod model_source;
 mod own_settings;
 mod without_tower;
 
-pub use described_prompts::DescribedPrompts;
-pub use description::{ModelSource, ModelSpec, PromptSet};
+pub use described_prompts::{DescribedPrompts, PromptSet};
+pub use description::ModelSpec;
 pub use folder::{data_folder, models_folder};
 pub use generation::{GenerationSettings, RoundTokens};
 pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
 pub use inputs::ModelInputs;
+pub use model_source::ModelSource;
 pub use own_settings::{Asking, NamedBy};
 
 use super::source::Checkpoint;
@@ -226,7 +228,7 @@ impl ModelRegistry {
                 let name = HubName {
                     id: id.clone(),
                     revision: Some(revision.clone())
-                        .filter(|revision| *revision != description::default_revision()),
+                        .filter(|revision| *revision != model_source::default_revision()),
                     file: file.clone(),
                     quant: quant.clone(),
                 };

@@ -2,7 +2,8 @@
 //! metadata of its GGUF file. Training and `models quantize` write it, so that a model without a
 //! description is asked as it was trained.
 
-use super::description::{PromptSet, with_new_name};
+use super::described_prompts::PromptSet;
+use super::description::with_new_name;
 use super::generation::GenerationSettings;
 use crate::MllmError;
 use crate::source::ModelPlace;

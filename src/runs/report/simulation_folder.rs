@@ -150,24 +150,7 @@ pub(super) fn copy(
     let from = simulation.open()?;
     whole_folder(simulations, simulation.name(), |to| {
         if let Some(pictures) = present_folder(&from, BEV)? {
-            let copies = make_folder(to, BEV)?;
-            for name in pictures
-                .names()
-                .map_err(ReportError::read(pictures.path()))?
-            {
-                // Only files that a run writes are copied; whatever else lies there is left.
-                let Some(name) = name.to_str().filter(|name| is_bev_name(name)) else {
-                    continue;
-                };
-                let place = pictures.path_of(name);
-                let bytes = pictures
-                    .read(name, MAX_IMAGE_BYTES)
-                    .map_err(ReportError::read(&place))?;
-                if !is_picture(&bytes) {
-                    return Err(ReportError::at(&place)(ReportFault::NoPicture));
-                }
-                write_new(&copies, name, &bytes)?;
-            }
+            copy_pictures(&pictures, &make_folder(to, BEV)?)?;
         }
         for (name, max_bytes) in FILES {
             if let Some(bytes) = read_present(&from, name, max_bytes)? {
@@ -176,6 +159,25 @@ pub(super) fn copy(
         }
         Ok(())
     })
+}
+
+/// Only files that a run writes are copied; whatever else lies there is left.
+fn copy_pictures(pictures: &OpenFolder, copies: &OpenFolder) -> Result<(), ReportError> {
+    let names = pictures.names();
+    for name in names.map_err(ReportError::read(pictures.path()))? {
+        let Some(name) = name.to_str().filter(|name| is_bev_name(name)) else {
+            continue;
+        };
+        let place = pictures.path_of(name);
+        let bytes = pictures
+            .read(name, MAX_IMAGE_BYTES)
+            .map_err(ReportError::read(&place))?;
+        if !is_picture(&bytes) {
+            return Err(ReportError::at(&place)(ReportFault::NoPicture));
+        }
+        write_new(copies, name, &bytes)?;
+    }
+    Ok(())
 }
 
 /// The metrics in the folder of a simulation.
@@ -232,6 +234,21 @@ fn write_calls(
     if outcome.calls.is_empty() {
         return Ok(());
     }
+    write_call_lines(folder, record, outcome)?;
+    // Pictures before the transcript, which links to them.
+    write_pictures(&make_folder(folder, BEV)?, outcome)?;
+    let text = transcript(record, outcome, |call| {
+        let name = bev_name(call.iteration);
+        call.image.as_ref().map(|_| format!("{BEV}/{name}"))
+    });
+    write_synced(folder, TRANSCRIPT, text.as_bytes())
+}
+
+fn write_call_lines(
+    folder: &OpenFolder,
+    record: &SimulationRecord,
+    outcome: &SimulationOutcome,
+) -> Result<(), ReportError> {
     let path = folder.path_of(CALLS);
     let mut lines = String::new();
     for call in &outcome.calls {
@@ -245,22 +262,19 @@ fn write_calls(
         lines.push_str(&serde_json::to_string(&value).map_err(ReportError::at(&path))?);
         lines.push('\n');
     }
-    write_synced(folder, CALLS, lines.as_bytes())?;
-    let pictures = make_folder(folder, BEV)?;
+    write_synced(folder, CALLS, lines.as_bytes())
+}
+
+fn write_pictures(pictures: &OpenFolder, outcome: &SimulationOutcome) -> Result<(), ReportError> {
     for call in &outcome.calls {
-        // Pictures before the transcript, which links to them.
         if let Some(image) = &call.image {
             let name = bev_name(call.iteration);
             let mut png = Cursor::new(Vec::new());
             image
                 .write_to(&mut png, ImageFormat::Png)
                 .map_err(ReportError::at(&pictures.path_of(&name)))?;
-            write_new(&pictures, &name, png.get_ref())?;
+            write_new(pictures, &name, png.get_ref())?;
         }
     }
-    let text = transcript(record, outcome, |call| {
-        let name = bev_name(call.iteration);
-        call.image.as_ref().map(|_| format!("{BEV}/{name}"))
-    });
-    write_synced(folder, TRANSCRIPT, text.as_bytes())
+    Ok(())
 }

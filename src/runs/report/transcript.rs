@@ -291,6 +291,7 @@ mod tests {
             answer: answer.to_owned(),
             finish: FinishReason::Complete,
             constraint: ConstraintUse::Unconstrained,
+            log_probability: None,
             tokens: TokenCounts::default(),
             tool: None,
             time: RoundTime::default(),

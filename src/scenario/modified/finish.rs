@@ -53,7 +53,8 @@ pub(super) fn finish(draft: Draft, modification: &Modification) -> Result<Scenar
         }
     }
     // The ego comes first: what is on its path, and who has room, depends on its start.
-    set_ego(&mut draft);
+    set_speed(&mut draft);
+    set_goal_drive(&mut draft);
     remove_on_path(&mut draft);
     let moving = with_room(&draft);
     let behaviors = moving
@@ -116,21 +117,24 @@ fn obstacles(
     }
 }
 
-/// The speed of the ego's place in the traffic, with a past that fits, and the way of the expert to
-/// a goal.
-fn set_ego(draft: &mut Draft) {
+/// The speed of the ego's place in the traffic, with a past that fits.
+fn set_speed(draft: &mut Draft) {
+    let Some(speed) = draft.ego_speed else { return };
     let start = draft.scenario.start;
-    if let Some(speed) = draft.ego_speed {
-        let present = draft.scenario.frames[start].ego;
-        let velocity = Vector::new(speed, 0.0);
-        for frame in &mut draft.scenario.frames[..=start] {
-            let before_s = (present.time_us - frame.ego.time_us) as f64 / MICROS_PER_SECOND;
-            let rear_axle = present.rear_axle.translated(-speed * before_s, 0.0);
-            frame.ego = EgoState::from_log(frame.ego.time_us, rear_axle, velocity, Vector::zeros());
-        }
+    let present = draft.scenario.frames[start].ego;
+    let velocity = Vector::new(speed, 0.0);
+    for frame in &mut draft.scenario.frames[..=start] {
+        let before_s = (present.time_us - frame.ego.time_us) as f64 / MICROS_PER_SECOND;
+        let rear_axle = present.rear_axle.translated(-speed * before_s, 0.0);
+        frame.ego = EgoState::from_log(frame.ego.time_us, rear_axle, velocity, Vector::zeros());
     }
-    // The log's driver did not go to this goal, so a steady drive there takes the expert's place.
+}
+
+/// The expert's drive to a goal. The log's driver did not go there, so a steady drive takes its
+/// place.
+fn set_goal_drive(draft: &mut Draft) {
     let Some(goal) = &draft.goal else { return };
+    let start = draft.scenario.start;
     let steps = draft.scenario.iterations() - 1;
     let speed = goal.length / (steps as f64 * STEP_S);
     let state = |time_us: i64, step: usize| {

@@ -305,47 +305,8 @@ impl<'a> Ids<'a> {
 
     /// Adds the stop lines to the connectors; returns them with the lanes that stop there.
     fn stop(&self, layers: &Layers, lanes: &mut [Lane]) -> Result<Vec<StopLine>, NuPlanError> {
-        for row in &layers.connectors {
-            let Some(&connector) = self.connectors.get(&row.fid) else {
-                continue;
-            };
-            let mut named = Vec::with_capacity(row.stops.len());
-            for stop in &row.stops {
-                let id = self.stops.get(stop).copied().ok_or_else(|| {
-                    let fault = CellFault::Dangling {
-                        target: format!("stop polygon {stop}"),
-                        table: "stop_polygons",
-                    };
-                    self.fault(
-                        "lane_connectors",
-                        row.fid,
-                        "traffic_light_stop_line_fids",
-                        fault,
-                    )
-                })?;
-                named.push(id);
-            }
-            let lane = &mut lanes[connector.index()];
-            lane.stop_lines = stop_lines_of(&lane.centerline, &named, &layers.stops);
-        }
-        for (place, row) in layers
-            .stops
-            .iter()
-            .enumerate()
-            .filter(|(_, row)| row.kind == STOP_SIGN)
-        {
-            for connector in row
-                .connectors
-                .iter()
-                .filter_map(|fid| self.connectors.get(fid))
-            {
-                let lane = &mut lanes[connector.index()];
-                // Where both stand, the light regulates; a sign would stop the ego at green.
-                if !lane.has_traffic_lights {
-                    lane.stop_lines.push(StopLineId(place as u32));
-                }
-            }
-        }
+        self.stop_at_lights(layers, lanes)?;
+        self.stop_at_signs(layers, lanes);
         let mut stopping: Vec<Vec<LaneId>> = vec![Vec::new(); layers.stops.len()];
         for lane in lanes.iter() {
             for stop in &lane.stop_lines {
@@ -358,6 +319,42 @@ impl<'a> Ids<'a> {
             stop_sign: row.kind == STOP_SIGN,
         };
         Ok(layers.stops.iter().zip(stopping).map(line).collect())
+    }
+
+    fn stop_at_lights(&self, layers: &Layers, lanes: &mut [Lane]) -> Result<(), NuPlanError> {
+        for row in &layers.connectors {
+            let Some(&connector) = self.connectors.get(&row.fid) else {
+                continue;
+            };
+            let mut named = Vec::with_capacity(row.stops.len());
+            for stop in &row.stops {
+                let id = self.stops.get(stop).copied().ok_or_else(|| {
+                    let target = format!("stop polygon {stop}");
+                    let table = "stop_polygons";
+                    let fault = CellFault::Dangling { target, table };
+                    let column = "traffic_light_stop_line_fids";
+                    self.fault("lane_connectors", row.fid, column, fault)
+                })?;
+                named.push(id);
+            }
+            let lane = &mut lanes[connector.index()];
+            lane.stop_lines = stop_lines_of(&lane.centerline, &named, &layers.stops);
+        }
+        Ok(())
+    }
+
+    /// Where a light and a sign stand, the light regulates: a sign would stop the ego at green.
+    fn stop_at_signs(&self, layers: &Layers, lanes: &mut [Lane]) {
+        let stops = layers.stops.iter().enumerate();
+        for (place, row) in stops.filter(|(_, row)| row.kind == STOP_SIGN) {
+            let connectors = row.connectors.iter();
+            for connector in connectors.filter_map(|fid| self.connectors.get(fid)) {
+                let lane = &mut lanes[connector.index()];
+                if !lane.has_traffic_lights {
+                    lane.stop_lines.push(StopLineId(place as u32));
+                }
+            }
+        }
     }
 
     fn roadblocks(&self, layers: &mut Layers, lanes: &[Lane]) -> Vec<Roadblock> {

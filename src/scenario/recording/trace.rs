@@ -47,6 +47,7 @@ impl Trace {
                 vertices.push(point);
                 heights.push(if place.z.is_finite() { place.z } else { 0.0 });
             }
+            // Dropped points have a place too, because other features name points by their number.
             point_s.push(s);
         }
         if s > MAX_LENGTH {

@@ -170,6 +170,8 @@ fn lane_strip(
                 && !connector[other.owner]
                 && (other.to - other.from).normalize().dot(&along).abs() > ALONG
         });
+        // The ray begins `MIN_LANE_DISTANCE` away from the line, so this is half of the whole
+        // distance.
         let half_way = beside.map(|distance| f64::midpoint(distance, MIN_LANE_DISTANCE));
         let bounds: Vec<usize> = map.boundaries[place]
             .at(side)

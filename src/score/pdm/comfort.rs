@@ -73,7 +73,7 @@ impl Filters {
             of(|s| s.acceleration.x),
             unwrap_angles(&of(|s| s.rear_axle.heading)),
         );
-        // Filters take most of the time; `&&` skips those after the first bound that is exceeded.
+        // `&&` spares the filters behind the first bound that is exceeded.
         holds(
             ComfortQuantity::LonAcceleration,
             &self.smooth.apply(&forward, step),

@@ -74,8 +74,8 @@ impl<'a> Scanner<'a> {
         let mut first = true;
         loop {
             self.skip_space();
-            // The faults that people's programs make are told by name: trailing commas, single
-            // quotes, bare keys.
+            // Faults that programs often make get their own words: trailing commas, single quotes,
+            // bare keys.
             match self.peek() {
                 Some(b'}') if first => break,
                 Some(b'}') => return self.fail("a comma stands before }"),

@@ -34,7 +34,7 @@ fn layers(
     table: &mut TensorTable,
 ) -> Result<Vec<PackedLayer>, MllmError> {
     let settings = description.settings()?;
-    // Each setting has two names, the second being that of autoawq's own files.
+    // Each setting has two names, of which a file uses one.
     let bits: Option<u32> = settings.value("bits")?.or(settings.value("w_bit")?);
     if bits.is_some_and(|bits| bits != BITS) {
         return Err(settings.error("bits", "AWQ is read with 4 bits; take a file with 4"));

@@ -23,7 +23,7 @@ fn layers(
     table: &mut TensorTable,
 ) -> Result<Vec<PackedLayer>, MllmError> {
     let settings = description.settings()?;
-    // Other formats of eight bits have the same type in the file; only these keys tell them apart.
+    // Tensors of other formats look the same; only these keys tell them apart.
     let known: [(&str, &[&str]); 4] = [
         ("fmt", &["e4m3", "float8_e4m3fn"]),
         ("scale_fmt", &["float", "ue8m0"]),

@@ -63,8 +63,8 @@ pub(in crate::report) fn write_metric_files<'a>(
     + Clone,
 ) -> Result<(), ReportError> {
     let mut schemas: BTreeMap<String, Schema> = BTreeMap::new();
-    // Two passes over the disk: the columns depend on all simulations, and those of a large run
-    // exceed the memory.
+    // Two passes: the columns depend on all simulations, and those of a large run need not fit the
+    // memory.
     for simulation in simulations.clone() {
         for metric in simulation?.1 {
             schemas.entry(metric.name.clone()).or_default().add(&metric);

@@ -161,6 +161,7 @@ impl Mover {
         let across = (half_length * sin).abs() + (half_width * cos).abs();
         let sideways = body.speed * sin;
         let now = self.clearance(s - along, s + along, lateral, across);
+        // A moment later as well: what moves across the path blocks it before it is there.
         let soon = self.clearance(
             s - along,
             s + along,
