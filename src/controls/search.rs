@@ -226,7 +226,12 @@ pub fn reflections(
     codes: &[PlannerCode],
 ) -> Vec<Option<ReflectionReport>> {
     let scene = simulation.scene();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut PdmMemory::default()) else {
+    let Ok(judge) = Judge::new(
+        &scene,
+        graph,
+        (Ride::default(), ROLLOUT_S),
+        &mut PdmMemory::default(),
+    ) else {
         return vec![None; codes.len()];
     };
     let reflect = |&code: &PlannerCode| {
