@@ -90,7 +90,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
                 "smolvlm",
                 "text_only",
             ],
-            &["llava_next", "qwen2_5_vl"],
+            &["lfm2_vl", "llava_next", "qwen2_5_vl"],
             &["families"],
             &["source"],
             &["local"],

@@ -3,7 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, internvl, lfm2_vl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
+    text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -17,10 +18,12 @@ const BUILT_IN: &[&Family] = &[
     &internvl::FAMILY,
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
+    &lfm2_vl::FAMILY,
     &text_only::LLAMA,
     &text_only::QWEN2,
     &text_only::QWEN3,
     &text_only::GEMMA3,
+    &text_only::LFM2,
 ];
 
 /// The families that models are looked for in: those that are built in, and those of a program that

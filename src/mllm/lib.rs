@@ -37,6 +37,7 @@ mod gguf;
 mod internvl;
 mod key_variable;
 mod latency;
+mod lfm2_vl;
 mod llava;
 mod llava_next;
 mod local;
@@ -66,7 +67,7 @@ pub use conversation::{
     TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
-pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits, Position};
+pub use decoder::{DecoderCache, DecoderInput, LanguageModel, Logits, Position};
 #[cfg(feature = "endpoint")]
 pub use endpoint::Endpoint;
 pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};

@@ -21,6 +21,11 @@ pub(crate) enum ImageText {
     Repeated,
     /// A text with separators around and between the image's parts, made from the placeholder.
     Written(fn(placeholder: &str, layout: ImageLayout) -> String),
+    /// The same for views of different sizes, where a tile becomes `tile` tokens.
+    Tiled {
+        write: fn(placeholder: &str, layout: ImageLayout, tile: usize) -> String,
+        tile: usize,
+    },
 }
 
 impl TemplateFormat {
@@ -110,6 +115,12 @@ impl ChatFormat for TemplateFormat {
                 let image = chat
                     .image
                     .map(|layout| (write(&self.placeholder, layout), layout.tokens));
+                self.written(tokenizer, &rendered, image)
+            }
+            ImageText::Tiled { write, tile } => {
+                let image = chat
+                    .image
+                    .map(|layout| (write(&self.placeholder, layout, tile), layout.tokens));
                 self.written(tokenizer, &rendered, image)
             }
         }

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 8] = [
+const FAMILIES: [Tiny; 9] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -51,6 +51,10 @@ const FAMILIES: [Tiny; 8] = [
         name: "tiny_qwen2_5_vl",
         architecture: "qwen2.5-vl",
     },
+    Tiny {
+        name: "tiny_lfm2_vl",
+        architecture: "lfm2-vl",
+    },
 ];
 
 /// A tiny checkpoint with references.
@@ -66,8 +70,8 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 }
 
 /// Families without a vision tower, which the decoders of the others are checkpoints of
-/// (`src/mllm/local/text_only_tests.rs`), but for the last.
-const TEXT_ONLY: [&str; 4] = ["llama", "qwen2", "qwen3", "gemma3_text"];
+/// (`src/mllm/local/text_only_tests.rs`), but for the last two.
+const TEXT_ONLY: [&str; 5] = ["llama", "qwen2", "qwen3", "gemma3_text", "lfm2"];
 
 #[test]
 fn every_family_has_a_checkpoint() {
@@ -459,6 +463,9 @@ fn the_described_models_are_all_readable() {
         ("qwen3-vl-4b", "qwen3-vl"),
         ("qwen2.5-vl-3b", "qwen2.5-vl"),
         ("qwen2.5-vl-7b", "qwen2.5-vl"),
+        ("lfm2-vl-450m", "lfm2-vl"),
+        ("lfm2.5-vl-450m", "lfm2-vl"),
+        ("lfm2.5-vl-1.6b", "lfm2-vl"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

@@ -25,6 +25,8 @@ pub(crate) enum DecoderType {
     /// `Gemma3TextConfig`: most layers have a window, and all more norms.
     #[serde(rename = "gemma3_text")]
     Gemma3,
+    /// `Lfm2Config`: most layers convolve the last positions in the place of attention.
+    Lfm2,
 }
 
 impl DecoderType {
@@ -36,6 +38,7 @@ impl DecoderType {
             "Qwen2ForCausalLM" => Some(Self::Qwen2),
             "Qwen3ForCausalLM" => Some(Self::Qwen3),
             "Gemma3ForCausalLM" => Some(Self::Gemma3),
+            "Lfm2ForCausalLM" => Some(Self::Lfm2),
             _ => None,
         }
     }
@@ -71,6 +74,10 @@ impl DecoderType {
                 "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
                 "sliding_window": 4096, "tie_word_embeddings": true, "query_pre_attn_scalar": 256,
             }),
+            Self::Lfm2 => json!({
+                "vocab_size": 65_536, "hidden_size": 2560, "intermediate_size": 12_288, "num_key_value_heads": 8,
+                "max_position_embeddings": 128_000, "norm_eps": 1e-5, "tie_word_embeddings": true,
+            }),
         }
     }
 
@@ -78,7 +85,7 @@ impl DecoderType {
     pub(super) fn theta(self) -> f64 {
         match self {
             Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => 10_000.0,
-            Self::Qwen25Vl | Self::Gemma3 => 1_000_000.0,
+            Self::Qwen25Vl | Self::Gemma3 | Self::Lfm2 => 1_000_000.0,
             Self::Qwen3Vl => 500_000.0,
         }
     }
@@ -87,7 +94,9 @@ impl DecoderType {
     /// embedding).
     pub(super) fn sections(self) -> Option<[usize; 3]> {
         match self {
-            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Gemma3 => None,
+            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Gemma3 | Self::Lfm2 => {
+                None
+            }
             Self::Qwen25Vl => Some([16, 24, 24]),
             Self::Qwen3Vl => Some([24, 20, 20]),
         }
@@ -122,6 +131,9 @@ impl DecoderType {
         ];
         if self == Self::Gemma3 {
             GEMMA
+        } else if self == Self::Lfm2 {
+            // The activation is no key of the class.
+            &[WHOLE]
         } else if self.is_qwen() {
             &[ACT, WHOLE, FULL]
         } else {

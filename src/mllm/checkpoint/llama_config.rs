@@ -1,8 +1,9 @@
-//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2, Qwen 3 and Gemma 3.
+//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2, Qwen 3, Gemma 3 and LFM2.
 
 use super::config::{
     ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
 };
+use super::convolution_config::{ConvolutionConfig, feed_forward_width};
 use super::decoder_type::DecoderType;
 use super::gemma_config::GemmaConfig;
 use super::rope_config::{ReadRope, read_rope};
@@ -13,7 +14,8 @@ use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
-/// of queries and keys, and Gemma 3 (`Gemma3TextConfig`) what [`Self::gemma`] has.
+/// of queries and keys, Gemma 3 (`Gemma3TextConfig`) what [`Self::gemma`] has, and LFM2
+/// (`Lfm2Config`) layers without attention.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
 #[expect(
@@ -68,6 +70,9 @@ pub struct LlamaConfig {
     /// What Gemma 3 has beyond the others.
     #[serde(skip)]
     pub(crate) gemma: Option<GemmaConfig>,
+    /// The layers that convolve the last positions in the place of attention.
+    #[serde(skip)]
+    pub(crate) convolution: Option<ConvolutionConfig>,
 }
 
 /// The defaults of `LlamaConfig`. Zero heads and widths are set once the others are known.
@@ -91,6 +96,7 @@ impl Default for LlamaConfig {
             window: None,
             tie_word_embeddings: false,
             gemma: None,
+            convolution: None,
         }
     }
 }
@@ -143,18 +149,53 @@ impl LlamaConfig {
         if kind == DecoderType::Gemma3 {
             config.gemma = Some(GemmaConfig::read(&text, &config)?);
         }
+        if kind == DecoderType::Lfm2 {
+            config.read_lfm2(&text)?;
+        }
         if kind != DecoderType::Mistral {
             config.window = None;
         }
+        config.attention_bias &= kind != DecoderType::Lfm2;
         config.output_bias = config.attention_bias && !kind.is_qwen2();
         config.attention_bias |= kind.is_qwen2();
-        config.head_norms = config.gemma.is_some() || kind.is_qwen() && !kind.is_qwen2();
-        config.mlp_bias &= !kind.is_qwen() && config.gemma.is_none();
+        let normed = config.gemma.is_some() || config.convolution.is_some();
+        config.head_norms = normed || kind.is_qwen() && !kind.is_qwen2();
+        config.mlp_bias &= !kind.is_qwen() && !normed;
         config.check_sizes(&text)?;
         config
             .validate()
             .map_err(|(key, problem)| text.error(key, problem))?;
         Ok(config)
+    }
+
+    /// Reads the keys of `Lfm2Config` that Llama does not have, or calls otherwise.
+    fn read_lfm2(&mut self, text: &ConfigObject<'_>) -> Result<(), MllmError> {
+        self.rms_norm_eps = text.positive("norm_eps")?.unwrap_or(self.rms_norm_eps);
+        // The name of older files.
+        if let Some(tied) = text.value("tie_embedding")? {
+            self.tie_word_embeddings = tied;
+        }
+        self.intermediate = feed_forward_width(text, self.intermediate)?;
+        self.convolution = Some(ConvolutionConfig::read(text, self.layers)?);
+        Ok(())
+    }
+
+    /// Layers that keep keys and values.
+    pub(crate) fn attention_layers(&self) -> usize {
+        self.layers - self.own_state().layers
+    }
+
+    /// What layers keep that keep no keys and values.
+    pub(crate) fn own_state(&self) -> OwnState {
+        let Some(convolution) = &self.convolution else {
+            return OwnState::default();
+        };
+        let convolve = |layer: &usize| convolution.is_in(*layer);
+        OwnState {
+            layers: (0..self.layers).filter(convolve).count(),
+            state: (convolution.taps - 1).saturating_mul(self.hidden),
+            row: self.hidden,
+        }
     }
 
     /// Whether the embedding is the output layer: the configuration says so, or the files have no
@@ -236,6 +277,17 @@ impl LlamaConfig {
         }
         Ok(())
     }
+}
+
+/// The layers of a decoder that keep a state of their own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct OwnState {
+    /// How many there are.
+    pub layers: usize,
+    /// Numbers of the state of each.
+    pub state: usize,
+    /// Numbers of a row that each reads, of which it keeps the last ones.
+    pub row: usize,
 }
 
 /// The key whose null differs from its absence.

@@ -1,6 +1,7 @@
 //! The files of a model: weights, and the parts of configurations that several families share.
 
 mod config;
+mod convolution_config;
 mod decoder_type;
 mod files;
 mod finite;
@@ -23,6 +24,7 @@ mod weight_format_plan;
 mod weights;
 
 pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
+pub(crate) use convolution_config::ConvolutionConfig;
 pub(crate) use decoder_type::DecoderType;
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
@@ -38,7 +40,7 @@ pub(crate) use packed::{Held, PackedBlocks, PackedForm};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile, in_four_dimensions};
-pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
+pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_kernel, is_matrix};
 pub use weights::Weights;
 
 use super::MllmError;

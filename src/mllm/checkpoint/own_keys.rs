@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 19] = [
+const DECODER: [(&str, &str); 22] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -31,6 +31,9 @@ const DECODER: [(&str, &str); 19] = [
     ("sliding_window_pattern", "attention.sliding_window_pattern"),
     ("sliding_window", "attention.sliding_window"),
     ("rope_local_base_freq", "rope.freq_base_swa"),
+    ("norm_eps", "attention.layer_norm_rms_epsilon"),
+    ("layer_types", "attention.head_count_kv"),
+    ("conv_L_cache", "shortconv.l_cache"),
 ];
 /// Keys of `vision_config`, and those of a tower behind `clip.vision.`.
 const TOWER: [(&str, &str); 14] = [
@@ -50,9 +53,10 @@ const TOWER: [(&str, &str); 14] = [
     ("deepstack_visual_indexes", "is_deepstack_layers"),
 ];
 /// Other keys of `config.json`, and those of a tower behind `clip.vision.`.
-const PROJECTOR: [(&str, &str); 3] = [
+const PROJECTOR: [(&str, &str); 4] = [
     ("scale_factor", "projector.scale_factor"),
     ("downsample_ratio", "projector.scale_factor"),
+    ("downsample_factor", "projector.scale_factor"),
     ("vision_feature_layer", "feature_layer"),
 ];
 /// Keys of `preprocessor_config.json`, and those of a tower behind `clip.vision.`.

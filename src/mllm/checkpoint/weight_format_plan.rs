@@ -46,9 +46,18 @@ enum Role {
 }
 
 /// Whether a tensor of this name and shape is the matrix of a linear layer or an embedding. All
-/// others (norms, biases, positions, the patch kernel, learned rows) are small and stay in f32.
+/// others (norms, biases, positions, kernels, learned rows) are small and stay in f32.
 pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
-    shape.len() == 2 && name.ends_with(".weight") && !name.contains("position_embedding")
+    shape.len() == 2
+        && name.ends_with(".weight")
+        && !name.contains("position_embedding")
+        && !is_kernel(name)
+}
+
+/// Whether a tensor has the taps of a decoder layer's convolution. GGUF files hold it without its
+/// side of 1.
+pub(crate) fn is_kernel(name: &str) -> bool {
+    name.ends_with(".conv.conv.weight") || name.ends_with(".conv1d.weight")
 }
 
 impl WeightFormatPlan {

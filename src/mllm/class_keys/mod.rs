@@ -8,7 +8,8 @@
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{
-    MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, internvl, lfm2_vl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
+    text_only,
 };
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -72,7 +73,8 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "internvl" => internvl::read_files(&files),
         "qwen2.5-vl" => qwen2_5_vl::read_files(&files),
         "qwen3-vl" => qwen3_vl::read_files(&files),
-        "gemma3_text" => text_only::read_files(&files),
+        "lfm2-vl" => lfm2_vl::read_files(&files),
+        "gemma3_text" | "lfm2" => text_only::read_files(&files),
         other => panic!("{other} is no family"),
     }
 }

@@ -2,10 +2,13 @@
 
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
-use crate::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
+use crate::decoder::{
+    CausalAttention, DecoderCache, DecoderLayer, LayerState, Pass, SwiGlu, rms_norm,
+};
 use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
+use planagent_kernels::attention::Precision;
 use std::ops::Range;
 
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
@@ -105,7 +108,16 @@ impl DecoderLayer for ExpertLayer {
         self.attention.exact_pass()
     }
 
-    fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
+    fn new_state(&self, precision: Precision) -> LayerState {
+        self.attention.new_state(precision)
+    }
+
+    fn forward(
+        &self,
+        x: &Tensor,
+        pass: &Pass,
+        cache: &mut DecoderCache,
+    ) -> candle_core::Result<Tensor> {
         let normed = self.input_norm.forward(x)?;
         let qkv = self.route(&normed, &pass.vision, |expert, rows| {
             expert.qkv.forward(rows)

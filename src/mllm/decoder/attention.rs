@@ -1,10 +1,12 @@
 //! Causal attention of a layer over the key-value cache.
 
-use super::cache::KvCache;
+use super::cache::{DecoderCache, LayerState};
 use super::layer::Pass;
 use crate::checkpoint::LlamaConfig;
 use candle_core::Tensor;
-use planagent_kernels::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
+use planagent_kernels::attention::{
+    AttentionMask, HeadShape, Precision, Projected, attend, exact_tokens,
+};
 
 /// Causal attention of a layer, without the projections.
 #[derive(Debug, Clone, Copy)]
@@ -36,6 +38,11 @@ impl CausalAttention {
         }
     }
 
+    /// Its keys and values of a sequence that is empty.
+    pub(crate) fn new_state(&self, precision: Precision) -> LayerState {
+        LayerState::key_values(self.shape, precision)
+    }
+
     /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and
     /// values, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head
     /// width).
@@ -43,7 +50,7 @@ impl CausalAttention {
         &self,
         qkv: &Tensor,
         pass: &Pass,
-        cache: &mut KvCache,
+        cache: &mut DecoderCache,
     ) -> candle_core::Result<Tensor> {
         let mask = AttentionMask::Causal {
             start: cache.len(),

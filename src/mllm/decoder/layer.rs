@@ -1,13 +1,13 @@
 //! Shared parts of decoder layers.
 
-use super::cache::KvCache;
+use super::cache::{DecoderCache, LayerState};
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
 use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
-use planagent_kernels::attention::RotaryRows;
+use planagent_kernels::attention::{Precision, RotaryRows};
 use std::ops::Range;
 
 pub(crate) trait DecoderLayer: Sized {
@@ -19,8 +19,16 @@ pub(crate) trait DecoderLayer: Sized {
         name: &str,
     ) -> Result<Self, MllmError>;
 
-    /// Maps (tokens, hidden) to the same shape and writes keys and values to the cache.
-    fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor>;
+    /// What it keeps of a sequence that is empty; keys and values have this precision.
+    fn new_state(&self, precision: Precision) -> LayerState;
+
+    /// Maps (tokens, hidden) to the same shape and writes what it keeps to the cache.
+    fn forward(
+        &self,
+        x: &Tensor,
+        pass: &Pass,
+        cache: &mut DecoderCache,
+    ) -> candle_core::Result<Tensor>;
 
     /// As [`LanguageModel::exact_pass`](super::LanguageModel::exact_pass).
     fn exact_pass(&self) -> usize;

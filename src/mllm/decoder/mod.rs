@@ -1,16 +1,26 @@
-//! Llama-style decoders: embedding, layers with a key-value cache, RMS norm, output layer.
+//! Llama-style decoders: embedding, layers with what they keep of the positions before, RMS norm,
+//! output layer.
 //!
 //! [`LlamaLayer`] is the layer of Llama, Mistral, Qwen and Gemma. A family with another layer implements
-//! [`DecoderLayer`].
+//! [`DecoderLayer`]. What it keeps is a [`LayerState`]: keys and values, or a state that each
+//! position changes.
 
 mod attention;
 mod cache;
+#[cfg(test)]
+mod cache_tests;
 mod head_norms;
 mod layer;
 mod llama;
+mod mixer;
+mod recurrence;
+mod self_attention;
+mod short_convolution;
+mod taps;
 
 pub(crate) use attention::CausalAttention;
-pub use cache::KvCache;
+pub use cache::DecoderCache;
+pub(crate) use cache::{LayerState, MAX_ROWS, MAX_STATES};
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 pub use planagent_kernels::attention::Position;
@@ -21,7 +31,7 @@ use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::RopeScaling;
-use planagent_kernels::attention::{HeadShape, Precision, RotaryEmbedding};
+use planagent_kernels::attention::{Precision, RotaryEmbedding};
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::ops::Range;
 
@@ -36,7 +46,6 @@ pub(crate) struct Decoder<L> {
     local_rotary: Option<RotaryEmbedding>,
     /// Input rows of text are multiplied by it.
     embedding_scale: Option<f64>,
-    heads: HeadShape,
     precision: Precision,
 }
 
@@ -69,20 +78,20 @@ pub enum Logits {
     All,
 }
 
-/// A decoder over a cache of keys and values.
+/// A decoder over a cache of what its layers keep.
 pub trait LanguageModel {
     /// The input rows of text tokens: (tokens, hidden).
     fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor>;
 
     /// An empty cache for at most `limit` tokens.
-    fn new_cache(&self, limit: usize) -> KvCache;
+    fn new_cache(&self, limit: usize) -> DecoderCache;
 
     /// Runs rows that follow the cached positions, adds them to the cache, and gives the logits
     /// (wanted positions, vocabulary).
     fn forward(
         &self,
         input: &DecoderInput,
-        cache: &mut KvCache,
+        cache: &mut DecoderCache,
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>>;
 
@@ -150,15 +159,18 @@ impl<L: DecoderLayer> Decoder<L> {
                 RotaryEmbedding::new(&gemma.local_rope, config.head_dim, config.context)
             }),
             embedding_scale: config.gemma.as_ref().map(|_| (config.hidden as f64).sqrt()),
-            heads: config.into(),
             precision,
         })
     }
 }
 
 impl<L: DecoderLayer> LanguageModel for Decoder<L> {
-    fn new_cache(&self, limit: usize) -> KvCache {
-        KvCache::new(self.layers.len(), self.heads, self.precision, limit)
+    fn new_cache(&self, limit: usize) -> DecoderCache {
+        let states = self
+            .layers
+            .iter()
+            .map(|layer| layer.new_state(self.precision));
+        DecoderCache::new(states.collect(), limit)
     }
 
     fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
@@ -180,11 +192,40 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
     fn forward(
         &self,
         input: &DecoderInput,
-        cache: &mut KvCache,
+        cache: &mut DecoderCache,
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>> {
         let tokens = input.rows.dim(0)?;
-        cache.check_room(tokens)?;
+        let unfinished = cache.begin(tokens)?;
+        let x = match self.run_layers(input, cache) {
+            Ok(x) => x,
+            Err(error) => {
+                cache.undo(unfinished);
+                return Err(error);
+            }
+        };
+        // After the last layer, since every layer writes at the same positions.
+        cache.advance(tokens);
+        let x = match wanted {
+            Logits::None => return Ok(None),
+            Logits::Last => x.narrow(0, tokens - 1, 1)?.contiguous()?,
+            Logits::Tail(count) => {
+                let count = count.clamp(1, tokens);
+                x.narrow(0, tokens - count, count)?.contiguous()?
+            }
+            Logits::All => x,
+        };
+        Ok(Some(self.head.forward(&self.norm.forward(&x)?)?))
+    }
+}
+
+impl<L: DecoderLayer> Decoder<L> {
+    /// The hidden states behind the last layer.
+    fn run_layers(
+        &self,
+        input: &DecoderInput,
+        cache: &mut DecoderCache,
+    ) -> candle_core::Result<Tensor> {
         let mut pass = Pass {
             layer: 0,
             rotary: self.rotary.rows(&input.positions, input.prompt_end)?,
@@ -203,17 +244,6 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
                 x = (x + deep)?;
             }
         }
-        // After the last layer, since every layer writes at the same positions.
-        cache.advance(tokens);
-        let x = match wanted {
-            Logits::None => return Ok(None),
-            Logits::Last => x.narrow(0, tokens - 1, 1)?.contiguous()?,
-            Logits::Tail(count) => {
-                let count = count.clamp(1, tokens);
-                x.narrow(0, tokens - count, count)?.contiguous()?
-            }
-            Logits::All => x,
-        };
-        Ok(Some(self.head.forward(&self.norm.forward(&x)?)?))
+        Ok(x)
     }
 }

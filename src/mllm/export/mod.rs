@@ -20,7 +20,7 @@ mod round_trip_tests;
 mod stored_format_tests;
 
 use super::MllmError;
-use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
+use super::checkpoint::{LoadReport, ModelFiles, Weights, is_kernel, is_matrix, paired};
 use super::gguf::names::ROTARY;
 use super::gguf::{Entries, FILE, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
@@ -267,10 +267,14 @@ fn plan_tensors(
                 .weight_format_of(name)
                 .unwrap_or(WeightFormat::F32)
                 .stored();
+            let mut shape = shape.to_vec();
+            if is_kernel(name) && name != renamed {
+                shape.retain(|side| *side != 1);
+            }
             layout.tensors.push(PlannedTensor {
                 name: renamed,
                 format,
-                shape: shape.to_vec(),
+                shape,
             });
             canonical.push(name.to_string());
         }
@@ -293,7 +297,10 @@ fn data(
             let _ = matrix.write_blocks(&mut bytes);
         }
         shape => {
-            let mut values: Vec<f32> = weights.take(canonical, shape)?.flatten_all()?.to_vec1()?;
+            let mut values: Vec<f32> = weights
+                .take_of_any_rank(canonical, shape)?
+                .flatten_all()?
+                .to_vec1()?;
             if norm_offset != 0.0 && canonical.ends_with("norm.weight") {
                 for value in &mut values {
                     *value += norm_offset;

@@ -13,7 +13,7 @@ use serde_json::{Map, Value as Json, json};
 const QWEN2: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 const LLAMA3: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}{1,3}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 /// The names that are known.
-const KNOWN: [&str; 5] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe"];
+const KNOWN: [&str; 6] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe", "lfm2"];
 
 /// The key of the way that texts are split.
 const PRE: &str = "tokenizer.ggml.pre";
@@ -100,7 +100,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     } = Special::read(header, &pieces)?;
     let begins = header
         .flag("tokenizer.ggml.add_bos_token")?
-        .unwrap_or(name == "llama-bpe");
+        .unwrap_or(splits_as_llama3(name));
     let tokenizer = json!({
         "version": "1.0",
         "added_tokens": pieces.added(),
@@ -111,7 +111,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         "model": {
             "type": "BPE", "dropout": null, "unk_token": null, "continuing_subword_prefix": null,
             "end_of_word_suffix": null, "fuse_unk": false, "byte_fallback": false,
-            "ignore_merges": name == "llama-bpe", "vocab": vocab, "merges": merges,
+            "ignore_merges": splits_as_llama3(name), "vocab": vocab, "merges": merges,
         },
     });
     Ok(TokenizerFiles {
@@ -147,6 +147,11 @@ fn without_offsets(mut splits: Json) -> Json {
     splits
 }
 
+/// Whether texts are split as by Llama 3, whose tokens are taken whole, before any merge.
+fn splits_as_llama3(name: &str) -> bool {
+    ["llama-bpe", "lfm2"].contains(&name)
+}
+
 /// Normalizer and pre-tokenizer of a name.
 fn splitting(name: &str) -> Option<(Json, Json)> {
     let bytes = |use_regex: bool| json!({"type": "ByteLevel", "add_prefix_space": false, "trim_offsets": true, "use_regex": use_regex});
@@ -166,7 +171,7 @@ fn splitting(name: &str) -> Option<(Json, Json)> {
             ),
         )),
         "qwen2" => Some((json!({"type": "NFC"}), pattern(QWEN2))),
-        "llama-bpe" => Some((Json::Null, pattern(LLAMA3))),
+        name if splits_as_llama3(name) => Some((Json::Null, pattern(LLAMA3))),
         _ => None,
     }
 }
@@ -179,7 +184,10 @@ mod tests {
     fn every_known_name_has_a_way_to_split() {
         assert!(KNOWN.into_iter().all(|name| splitting(name).is_some()));
         assert!(splitting("tekken").is_none());
-        for name in KNOWN.into_iter().filter(|name| *name != "gpt-2") {
+        for name in KNOWN
+            .into_iter()
+            .filter(|name| !["gpt-2", "lfm2"].contains(name))
+        {
             let (normalizer, splits) = splitting(name).unwrap();
             let mut file = json!({"normalizer": normalizer, "pre_tokenizer": splits});
             assert_eq!(name_of(&file), Some(name));

@@ -3,6 +3,7 @@
 use super::Entries;
 use super::gemma;
 use super::header::Header;
+use super::lfm2;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::{RopeScaling, Yarn};
@@ -12,13 +13,14 @@ use serde_json::{Value, json};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 6] = [
+const ARCHITECTURES: [(&str, &str); 7] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
     (INTERLEAVED, "qwen3_vl_text"),
     (gemma::ARCHITECTURE, "gemma3_text"),
+    (lfm2::ARCHITECTURE, "lfm2"),
 ];
 /// The architecture whose axes take turns in the rotary embedding; its files do not say so.
 const INTERLEAVED: &str = "qwen3vl";
@@ -74,9 +76,12 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     }
     let hidden = header.required_count(&key("embedding_length"))?;
     let heads = header.required_count(&key("attention.head_count"))?;
-    let kv_heads = header
-        .count(&key("attention.head_count_kv"))?
-        .unwrap_or(heads);
+    let key_heads = if architecture == lfm2::ARCHITECTURE {
+        lfm2::key_heads(header)?
+    } else {
+        header.count(&key("attention.head_count_kv"))?
+    };
+    let kv_heads = key_heads.unwrap_or(heads);
     let head_dim = header
         .count(&key("attention.key_length"))?
         .unwrap_or(hidden / heads);
@@ -143,6 +148,9 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     }
     if architecture == gemma::ARCHITECTURE {
         gemma::add_keys(header, &mut config)?;
+    }
+    if architecture == lfm2::ARCHITECTURE {
+        lfm2::add_keys(header, &mut config)?;
     }
     if let Some(sections) =
         header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?

@@ -8,6 +8,7 @@
 pub(crate) mod byte_level;
 pub(crate) mod gemma;
 mod header;
+pub(crate) mod lfm2;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;

@@ -59,6 +59,30 @@ const GEMMA_PARTS: [Pair; 13] = [
     ("post_ffw_norm", "post_feedforward_layernorm"),
 ];
 
+/// The final norm of an LFM2.
+pub(crate) const LFM2_NORM: Pair = ("token_embd_norm.weight", "language_model.norm.weight");
+
+/// The layers of an LFM2.
+pub(crate) const LFM2_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &LFM2_PARTS);
+
+const LFM2_PARTS: [Pair; 14] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("shortconv.conv", "conv.conv"),
+    ("shortconv.in_proj", "conv.in_proj"),
+    ("shortconv.out_proj", "conv.out_proj"),
+    ("ffn_norm", "post_attention_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+];
+
 /// The layers of a tower with CLIP's names.
 pub(crate) const VISION_LAYERS: (&str, &str, &[Pair]) = ("v.blk.", VISION_PREFIX, &VISION_PARTS);
 

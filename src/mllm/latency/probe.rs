@@ -12,6 +12,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::time::Instant;
 
+/// Tokens of a pass within an answer, at most; longer ones begin a prompt.
+const LONGEST_ANSWER_PASS: usize = 32;
+
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]
 pub struct LatencyProbe {
@@ -70,8 +73,7 @@ impl LatencyProbe {
         let mut time = StepTime::default();
         match step {
             Step::Keep(tokens) => {
-                self.pending.clear();
-                self.sequence.truncate(tokens);
+                self.pending = self.sequence.cut(tokens);
             }
             Step::Encode if self.model.info().image_size.is_none() => {}
             Step::Encode => self.features = Some(self.model.encode_image(&self.image)?),
@@ -102,18 +104,20 @@ impl LatencyProbe {
                 }
                 let logits = self.compute(Logits::Tail(1 + drafted), &mut time)?;
                 let rejected = drafted.saturating_sub(accepted);
-                self.sequence.truncate(self.sequence.ids().len() - rejected);
+                self.pending = self.sequence.cut(self.sequence.ids().len() - rejected);
                 // Every accepted draft is one that was sampled.
+                let mut next = None;
                 for row in 0..=drafted - rejected {
                     let logits = logits.as_ref().map(|logits| logits.get(row)).transpose()?;
-                    let word = self.choose(logits)?;
-                    self.pending = vec![word];
+                    next = Some(self.choose(logits)?);
                 }
+                self.pending.extend(next);
                 time.first_token_ms
                     .get_or_insert_with(|| milliseconds(start.elapsed()));
             }
             Step::Compute => {
                 self.compute(Logits::None, &mut time)?;
+                self.sequence.mark();
             }
         }
         time.ms = milliseconds(start.elapsed());
@@ -129,7 +133,7 @@ impl LatencyProbe {
     ) -> Result<(Vec<f32>, Vec<u32>), MllmError> {
         let mut time = StepTime::default();
         self.sequence.begin(&*self.model, prompt, None);
-        self.sequence.truncate(0);
+        self.sequence.cut(0);
         self.pending = prompt.to_vec();
         let (mut first, mut tokens) = (Vec::new(), Vec::new());
         while tokens.len() < count {
@@ -145,7 +149,7 @@ impl LatencyProbe {
             self.pending = vec![token];
         }
         self.pending.clear();
-        self.sequence.truncate(0);
+        self.sequence.cut(0);
         Ok((first, tokens))
     }
 
@@ -156,6 +160,11 @@ impl LatencyProbe {
         time: &mut StepTime,
     ) -> Result<Option<Tensor>, MllmError> {
         let start = Instant::now();
+        // As a conversation marks its prompts.
+        if self.pending.len() > LONGEST_ANSWER_PASS {
+            let image_token = self.model.info().image_token;
+            self.sequence.mark_prompt(image_token, &self.pending);
+        }
         let logits = self.sequence.append_in_passes(
             &*self.model,
             &self.pending,

@@ -3,7 +3,7 @@
 use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
 use crate::checkpoint::ModelFiles;
-use crate::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
+use crate::decoder::{DecoderCache, DecoderInput, LanguageModel, Logits};
 use crate::family::{
     ChatFormat, ImageFeatures, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles,
     VisionLanguageModel,
@@ -78,14 +78,14 @@ impl LanguageModel for Counting {
         self.model.decoder().exact_pass()
     }
 
-    fn new_cache(&self, limit: usize) -> KvCache {
+    fn new_cache(&self, limit: usize) -> DecoderCache {
         self.model.decoder().new_cache(limit)
     }
 
     fn forward(
         &self,
         input: &DecoderInput,
-        cache: &mut KvCache,
+        cache: &mut DecoderCache,
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>> {
         self.computed
@@ -150,6 +150,7 @@ fn families_of_today_compute_as_little() {
         "tiny_internvl3",
         "tiny_qwen3_vl",
         "tiny_qwen2_5_vl",
+        "tiny_lfm2_vl",
     ] {
         check_planning_calls(name, &fixture(name), true);
     }

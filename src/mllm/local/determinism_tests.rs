@@ -17,7 +17,11 @@ const FOLDER: &str = "PLANAGENT_TEST_FOLDER";
 const TEST: &str = "local::determinism_tests::logits_are_the_same_bits_at_any_thread_count";
 
 /// A model with random weights in the shape of a configuration.
-fn random(architecture: &str, config: &Value, processor: &Value) -> Box<dyn VisionLanguageModel> {
+pub(super) fn random(
+    architecture: &str,
+    config: &Value,
+    processor: &Value,
+) -> Box<dyn VisionLanguageModel> {
     let texts = [
         ("config.json", config),
         ("preprocessor_config.json", processor),
@@ -75,6 +79,13 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
             image::Rgb([x as u8, y as u8, (x * y) as u8])
         })
     };
+    let convolve = json!({"model_type": "lfm2", "block_auto_adjust_ff_dim": false,
+        "layer_types": ["conv", "conv", "full_attention", "conv", "full_attention", "conv"]});
+    let mut convolving = tiles(json!({"projector_hidden_size": 128}));
+    convolving["text_config"] = with(text.clone(), convolve.clone());
+    convolving["vision_config"]["num_patches"] = json!(16);
+    let views =
+        json!({"tile_size": 64, "min_image_tokens": 4, "max_image_tokens": 8, "max_tiles": 4});
     let mut biased = tiles(json!({}));
     biased["vision_config"]["attention_bias"] = json!(true);
     let models = vec![
@@ -97,6 +108,7 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
             random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels),
             picture(130, 170),
         ),
+        (random("lfm2-vl", &convolving, &views), picture(130, 170)),
     ];
     // Models that read text alone.
     let local = json!({"model_type": "gemma3_text", "head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
@@ -105,6 +117,7 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         ("qwen2", json!({"model_type": "qwen2"})),
         ("qwen3", json!({"model_type": "qwen3", "head_dim": 32})),
         ("gemma3_text", local),
+        ("lfm2", convolve),
     ];
     let texts = texts.map(|(name, keys)| {
         let model = random(name, &with(text.clone(), keys), &json!({}));
@@ -158,9 +171,10 @@ fn logits_hash() -> String {
                 .append(model, &[token], features.as_ref(), Logits::Last)
                 .unwrap());
         }
-        sequence.truncate(patches + 86);
+        let again = sequence.cut(patches + 86);
+        let piece = [again.as_slice(), &[5, 6, 7, 8, 9]].concat();
         add(sequence
-            .append(model, &[5, 6, 7, 8, 9], features.as_ref(), Logits::All)
+            .append(model, &piece, features.as_ref(), Logits::Tail(5))
             .unwrap());
     }
     hasher.finalize().to_hex().to_string()

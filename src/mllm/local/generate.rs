@@ -127,7 +127,7 @@ pub(super) fn generate(
     let ran = generation.run(&mut grammar, &mut sampler, end.tokens, on_tokens);
     generation.settle();
     let needed = generation.needed;
-    generation.sequence.truncate(needed);
+    generation.sequence.cut(needed);
     ran.map(|()| generation.out)
 }
 
@@ -265,10 +265,11 @@ impl Generation<'_> {
             drafter.learn(self.ahead.len(), accepted);
         }
         self.out.accepted += accepted;
-        if self.ahead.len() > 0 {
-            self.sequence.truncate(self.ahead.start() + accepted);
-        }
         self.pending.drain(..accepted);
+        if self.ahead.len() > 0 {
+            let again = self.sequence.cut(self.ahead.start() + accepted);
+            self.pending.splice(..0, again);
+        }
         self.ahead = Ahead::default();
     }
 

@@ -2,6 +2,7 @@
 
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, WeightFormatPlan, Weights, in_bytes};
+use crate::decoder::{MAX_ROWS, MAX_STATES};
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
@@ -21,7 +22,7 @@ pub enum MemoryCheck {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct MemoryNeed {
     pub weights: u64,
-    /// Keys and values of a chat.
+    /// Keys and values of a chat, and the states of layers that keep others.
     pub cache: u64,
     /// Activations of a prompt, or a tensor during quantization, whichever is larger.
     pub work: u64,
@@ -156,11 +157,18 @@ impl MemoryNeed {
         // with the key at fault.
         let widest = shapes().flatten().copied().max().unwrap_or(0);
         let width = |width: usize| width.min(widest) as u64;
-        let layers = decoder.layers.min(shapes().count()) as u64;
+        let layers = decoder.attention_layers().min(shapes().count()) as u64;
+        let own = decoder.own_state();
+        let kept = (MAX_STATES.saturating_mul(own.state))
+            .saturating_add(MAX_ROWS.saturating_mul(own.row)) as u64;
+        let states = float
+            .saturating_mul(kept)
+            .saturating_mul(own.layers.min(shapes().count()) as u64);
         let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
-            cache: 2 * key_value * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
+            cache: (2 * key_value * tokens * width(decoder.kv_heads * decoder.head_dim) * layers)
+                .saturating_add(states),
             // Once as in the file, once in f32.
             work: (float * tokens * alive).max(2 * float * largest),
             picture: picture.bytes,
@@ -309,6 +317,23 @@ mod tests {
         assert_eq!(group_left("1:name=systemd:/"), None);
         #[cfg(target_os = "linux")]
         assert!(free_memory().unwrap() > 0);
+    }
+
+    #[test]
+    fn states_of_layers_are_part_of_the_need() {
+        let checkpoint = open_checkpoint(&fixture("tiny_lfm2"));
+        let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
+        let need = MemoryNeed::estimate(
+            &checkpoint,
+            &decoder,
+            PictureNeed::default(),
+            None,
+            Some(100),
+        );
+        // Two layers with one head of keys and values of 8 numbers; four that keep three rows of 32
+        // in eight copies, and 48 of them.
+        let (keys, states) = (2 * 4 * 100 * 8 * 2, 4 * 4 * (8 * 3 * 32 + 48 * 32));
+        assert_eq!(need.cache, keys + states);
     }
 
     #[test]

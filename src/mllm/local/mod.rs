@@ -28,6 +28,8 @@ mod outside_tests;
 #[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
+mod state_tests;
+#[cfg(test)]
 pub(crate) mod test_faults;
 #[cfg(test)]
 pub(crate) mod test_prompts;
@@ -218,6 +220,7 @@ impl LocalModel {
         }
         let mut sequence = Sequence::new(&*self.model);
         sequence.append(&*self.model, &ids[..len], None, Logits::None)?;
+        sequence.mark();
         let prefix = Arc::new(CallPrefix {
             system: system.to_string(),
             image,

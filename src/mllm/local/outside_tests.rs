@@ -23,7 +23,7 @@ fn data() -> PathBuf {
 #[test]
 #[ignore = "needs mllm_reference/text in $PLANAGENT_DATA"]
 fn tiny_language_models_are_those_of_transformers_as_folders_and_gguf() {
-    for family in ["llama", "qwen2", "qwen3", "gemma3_text"] {
+    for family in ["llama", "qwen2", "qwen3", "gemma3_text", "lfm2"] {
         let folder = data().join("mllm_reference/text").join(family);
         let reference = Reference::open(&folder.join("reference.safetensors"));
         let prompts = read_json(&folder.join("prompts.json")).unwrap();

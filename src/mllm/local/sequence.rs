@@ -1,6 +1,6 @@
 //! The computed tokens of a chat.
 
-use crate::decoder::{DecoderInput, KvCache, Logits};
+use crate::decoder::{DecoderCache, DecoderInput, Logits};
 use crate::family::{ImageFeatures, ImageLayout, PlacedImage, Positions, VisionLanguageModel};
 use crate::{Deadline, MllmError};
 use candle_core::Tensor;
@@ -9,7 +9,8 @@ use planagent_kernels::attention::position_end;
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;
 
-/// Computed tokens with their keys and values.
+/// Computed tokens with what the decoder keeps of them. A clone is a branch: it costs one copy of
+/// the layers' states at most, once one of both is appended to.
 #[derive(Debug, Clone)]
 pub(crate) struct Sequence {
     ids: Vec<u32>,
@@ -18,11 +19,11 @@ pub(crate) struct Sequence {
     lengths: Vec<usize>,
     /// The position behind the prompt; 0 before the first.
     prompt_end: usize,
-    cache: KvCache,
+    cache: DecoderCache,
 }
 
 /// An empty cache for the longest chat of a model.
-pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> KvCache {
+pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> DecoderCache {
     model
         .decoder()
         .new_cache(model.context(model.info().max_image_tokens))
@@ -38,8 +39,8 @@ impl Sequence {
         }
     }
 
-    /// Begins a prompt, whose image lies so in the chat. Keeps the computed tokens that it begins
-    /// with, without its last one, whose logits are needed, and gives their number.
+    /// Begins a prompt, whose image lies so in the chat. Keeps computed tokens that it begins with,
+    /// without its last one, whose logits are needed, and gives their number.
     pub(crate) fn begin(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -59,9 +60,25 @@ impl Sequence {
             .zip(prompt)
             .take_while(|((known, computed_for), id)| known == id && **computed_for == length)
             .count();
-        let kept = agree.min(prompt.len().saturating_sub(1));
-        self.truncate(kept);
-        kept
+        self.cut(agree.min(prompt.len().saturating_sub(1)));
+        self.cache.drop_planned_marks();
+        self.mark_prompt(image_token, &prompt[self.ids.len()..]);
+        self.ids.len()
+    }
+
+    /// Marks, in tokens that are to be appended, where later prompts part from this one: behind the
+    /// image, and before the last token, whose logits are needed again.
+    pub(crate) fn mark_prompt(&mut self, image_token: u32, next: &[u32]) {
+        let image_end = next.iter().rposition(|id| *id == image_token);
+        let ends = image_end.map(|last| last + 1).into_iter();
+        for end in ends.chain(next.len().checked_sub(1)) {
+            self.cache.mark_at(self.ids.len() + end);
+        }
+    }
+
+    /// Marks the sequence as it is: [`Self::cut`] goes back to it, whatever layers keep.
+    pub(crate) fn mark(&mut self) {
+        self.cache.mark_at(self.ids.len());
     }
 
     pub(crate) fn ids(&self) -> &[u32] {
@@ -200,10 +217,12 @@ impl Sequence {
             .count()
     }
 
-    /// Drops the tokens from `len` on.
-    pub(crate) fn truncate(&mut self, len: usize) {
+    /// Drops the tokens from `len` on. Where layers keep a state that cannot be cut back so far, more
+    /// are dropped, to the last mark before; those before `len` are given, to be appended again.
+    pub(crate) fn cut(&mut self, len: usize) -> Vec<u32> {
+        let reached = self.cache.cut(len.min(self.ids.len()));
         self.ids.truncate(len);
-        self.lengths.truncate(len);
-        self.cache.truncate(len);
+        self.lengths.truncate(reached);
+        self.ids.split_off(reached)
     }
 }

@@ -290,8 +290,7 @@ impl LocalConversation<'_> {
         let whole = [ids.as_slice(), before].concat();
         let computed_so_far = if reasoned.is_some() {
             let agree = self.sequence.agree(&whole);
-            self.sequence
-                .truncate(agree.min(whole.len().saturating_sub(1)));
+            self.sequence.cut(agree.min(whole.len().saturating_sub(1)));
             self.sequence.ids().len()
         } else {
             cached

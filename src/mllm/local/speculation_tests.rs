@@ -33,6 +33,7 @@ fn folders() -> Vec<(PathBuf, &'static str)> {
         "tiny_internvl3",
         "tiny_qwen3_vl",
         "tiny_qwen2_5_vl",
+        "tiny_lfm2_vl",
     ];
     papers
         .chain(todays.map(|name| (fixture(name), "image_0.png")))

@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 20] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -48,6 +48,9 @@ impl ModelShape {
         shape!("qwen3-vl-4b"),
         shape!("qwen2.5-vl-3b"),
         shape!("qwen2.5-vl-7b"),
+        shape!("lfm2-vl-450m"),
+        shape!("lfm2.5-vl-450m"),
+        shape!("lfm2.5-vl-1.6b"),
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
@@ -175,6 +178,9 @@ mod tests {
             ("qwen3-vl-4b", 4.438),
             ("qwen2.5-vl-3b", 3.755),
             ("qwen2.5-vl-7b", 8.292),
+            ("lfm2-vl-450m", 0.450_8),
+            ("lfm2.5-vl-450m", 0.448_7),
+            ("lfm2.5-vl-1.6b", 1.597),
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };

@@ -3,9 +3,10 @@
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles};
 use crate::gguf::names::{
-    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, Names, OUTPUT, ROTARY,
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT,
+    ROTARY,
 };
-use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma, llama};
+use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma, lfm2, llama};
 use std::collections::BTreeMap;
 
 const NAMES: Names = Names {
@@ -16,6 +17,11 @@ const NAMES: Names = Names {
 const GEMMA_NAMES: Names = Names {
     single: &[EMBEDDING, FINAL_NORM, OUTPUT, ROTARY],
     layers: &[GEMMA_LAYERS],
+};
+
+const LFM2_NAMES: Names = Names {
+    single: &[EMBEDDING, LFM2_NORM, OUTPUT],
+    layers: &[LFM2_LAYERS],
 };
 
 /// The files of a family of language models.
@@ -41,6 +47,13 @@ impl TextGguf {
         architectures: &[gemma::ARCHITECTURE],
         names: GEMMA_NAMES,
         norms_have_one: true,
+    };
+
+    /// The files of LFM2.
+    pub(super) const OF_LFM2: Self = Self {
+        architectures: &[lfm2::ARCHITECTURE],
+        names: LFM2_NAMES,
+        norms_have_one: false,
     };
 }
 
@@ -88,6 +101,9 @@ fn described(config: &LlamaConfig) -> Described {
         let mut metadata = llama::metadata(gemma::ARCHITECTURE, config)?;
         metadata.extend(gemma::metadata(config)?);
         return Ok((gemma::ARCHITECTURE, metadata, None));
+    }
+    if config.convolution.is_some() {
+        return Ok((lfm2::ARCHITECTURE, lfm2::metadata(config)?, None));
     }
     let architecture = architecture(config)?;
     Ok((architecture, llama::metadata(architecture, config)?, None))

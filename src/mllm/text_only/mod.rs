@@ -1,10 +1,13 @@
 //! Models that read text alone: a decoder with its tokenizer and chat template, and no vision tower.
 
 mod gguf;
+pub(crate) mod lfm2;
 mod model;
 
 #[cfg(test)]
 mod gemma_tests;
+#[cfg(test)]
+mod lfm2_tests;
 
 use super::MllmError;
 use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles};
@@ -89,6 +92,26 @@ pub(crate) const GEMMA3: Family = Family {
         gguf: &[("gemma3", None)],
         tested: "transformers, llama.cpp: tests/fixtures/tiny_gemma3_text",
         example: "google/gemma-3-270m-it",
+    },
+};
+
+/// LFM2: short convolutions, and attention in some layers.
+pub(crate) const LFM2: Family = Family {
+    name: "lfm2",
+    config_names: &["lfm2", "Lfm2ForCausalLM"],
+    canonical_name: |stored| canonical_name(stored).map(|name| lfm2::canonical_name(&name)),
+    gguf: Ok(&TextGguf::OF_LFM2),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Lfm2),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Lfm2)?;
+        Ok(Box::new(TextModel::take(weights, "lfm2", &config)?))
+    },
+    about: About {
+        models: "LFM2 and LFM2.5 with a dense decoder",
+        gguf: &[("lfm2", None)],
+        tested: "transformers, llama.cpp: src/mllm/local/outside_tests.rs, tests/fixtures/tiny_lfm2",
+        example: "LiquidAI/LFM2-350M",
     },
 };
 
