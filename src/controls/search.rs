@@ -110,7 +110,7 @@ pub fn search_ahead(
     let mut tried: Vec<Candidate> = Vec::new();
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, (Ride::default(), ROLLOUT_S), &mut memory) else {
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
         return tried;
     };
     let present = Present {
@@ -160,7 +160,7 @@ pub(crate) fn search_grid(
 ) -> Vec<Candidate> {
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, (Ride::default(), ROLLOUT_S), &mut memory) else {
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
         return Vec::new();
     };
     let present = Present {
@@ -204,7 +204,7 @@ pub fn attempts(
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, (Ride::default(), ROLLOUT_S), &mut memory) else {
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
         return vec![None; codes.len()];
     };
     let present = Present {
@@ -226,12 +226,7 @@ pub fn reflections(
     codes: &[PlannerCode],
 ) -> Vec<Option<ReflectionReport>> {
     let scene = simulation.scene();
-    let Ok(judge) = Judge::new(
-        &scene,
-        graph,
-        (Ride::default(), ROLLOUT_S),
-        &mut PdmMemory::default(),
-    ) else {
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut PdmMemory::default()) else {
         return vec![None; codes.len()];
     };
     let reflect = |&code: &PlannerCode| {

@@ -92,7 +92,7 @@ impl PlanAgent {
         )?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
-            Some(Judge::new(
+            Some(Judge::of_plans(
                 scene,
                 graph,
                 (settings.reflection.ride, settings.reflection.horizon_s),

@@ -112,12 +112,24 @@ impl<'a> Judge<'a> {
     /// with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
     /// progress is measured along the ego's own centerline.
     ///
-    /// Plans are compared with what drives as they do: at the ride [`Ride::Comfortable`] versions
-    /// of a plan at the limit in the ego's lane stand for PDM-Closed's proposals.
+    /// # Errors
+    /// When the horizon is too short to be scored.
+    pub fn new(
+        scene: &'a SceneView<'a>,
+        graph: &LaneGraph,
+        horizon_s: f64,
+        memory: &mut PdmMemory,
+    ) -> Result<Self, ReflectionError> {
+        Self::of_plans(scene, graph, (Ride::Idm, horizon_s), memory)
+    }
+
+    /// As [`Self::new`], of plans with this ride. They are compared with what rides as they do: at
+    /// [`Ride::Comfortable`], versions of a plan at the limit in the ego's lane stand for
+    /// PDM-Closed's proposals.
     ///
     /// # Errors
     /// When the horizon is too short to be scored, or the ego's pose is not finite.
-    pub fn new(
+    pub(crate) fn of_plans(
         scene: &'a SceneView<'a>,
         graph: &LaneGraph,
         (ride, horizon_s): (Ride, f64),

@@ -217,7 +217,7 @@ mod tests {
 
     fn judged(scene: &Scene, name: CenterlineName) -> ReflectionReport {
         let (view, (plan, graph)) = (scene.view(), plan(scene, name));
-        Judge::new(&view, &graph, (Ride::Idm, 4.0), &mut PdmMemory::default())
+        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())
             .unwrap()
             .reflect(&plan, 0.98)
             .unwrap()

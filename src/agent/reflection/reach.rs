@@ -191,7 +191,7 @@ mod tests {
             .at_limit(GraphedScene::new(&view, &graph), centerline)
             .unwrap()
             .unwrap();
-        Judge::new(&view, &graph, (of_rivals, 4.0), &mut PdmMemory::default())
+        Judge::of_plans(&view, &graph, (of_rivals, 4.0), &mut PdmMemory::default())
             .unwrap()
             .reflect(&plan, 0.75)
             .unwrap()
