@@ -8,6 +8,8 @@
 //! format; any other input is the file.
 
 mod formats;
+mod lab;
+mod planning;
 
 use planagent_agent::environment::bev;
 use planagent_agent::environment::text::{TextForm, write as write_text};
@@ -21,8 +23,9 @@ use planagent_mllm::{
     AdapterSpec, Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry,
     ModelSpec, PromptPrefix, Request, Sampling,
 };
-use planagent_runs::report::RunFolder;
 use planagent_runs::report::page::{self, PageSettings};
+use planagent_runs::report::render::{Film, Look, SimulationChoice};
+use planagent_runs::report::{RunFolder, last_run_of};
 use planagent_runs::runner::Config;
 use planagent_scenario::generator::{Spec, generate, types};
 use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
@@ -42,7 +45,7 @@ use tempfile::TempDir;
 pub(crate) type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 24] = [
+pub(crate) const TARGETS: [Target; 32] = [
     ("planner_code", planner_code),
     ("answers", answers),
     ("prompts", prompts),
@@ -64,9 +67,17 @@ pub(crate) const TARGETS: [Target; 24] = [
     ("run_metrics", |bytes| run_record(2, bytes)),
     ("run_calls", |bytes| run_record(3, bytes)),
     ("run_replay", |bytes| run_record(4, bytes)),
+    ("run_picture", |bytes| run_record(5, bytes)),
+    ("run_summary", |bytes| run_record(6, bytes)),
     ("endpoint_reply", endpoint_reply),
     ("modification", modification),
     ("checkpoint", checkpoint),
+    ("model_file", model_file),
+    ("agent_answers", planning::agent_answers),
+    ("agent_memory", planning::agent_memory),
+    ("exec_answer", planning::exec_answer),
+    ("study", lab::study),
+    ("lab_folder", lab::lab_folder),
 ];
 
 /// Runs the target of a name; true when it read the input to its end.
@@ -289,6 +300,34 @@ fn chat_template(bytes: &[u8]) -> bool {
     let fits = check(&ModelPlace::Folder(model));
     fs::write(&file, kept).expect("a file can be written");
     fits
+}
+
+/// The tiny model in which one file has these bytes; the first byte chooses it.
+fn model_file(bytes: &[u8]) -> bool {
+    const FILES: [&str; 6] = [
+        "config.json",
+        "generation_config.json",
+        "preprocessor_config.json",
+        "tokenizer_config.json",
+        "planagent.json",
+        "model.safetensors.index.json",
+    ];
+    let (Some((choice, rest)), Some(model)) = (bytes.split_first(), tiny_model()) else {
+        return false;
+    };
+    let file = model.join(FILES[usize::from(*choice) % FILES.len()]);
+    let kept = fs::read(&file).ok();
+    fs::write(&file, rest).expect("a file can be written");
+    let place = ModelPlace::Folder(model.clone());
+    let fits = check(&place);
+    let word = model.to_string_lossy();
+    let registry = ModelRegistry::new(PathBuf::from("models"), HubAccess::default());
+    let asking = registry.find(&word).and_then(|spec| registry.asking(&spec));
+    match kept {
+        Some(bytes) => fs::write(&file, bytes).expect("a file can be written"),
+        None => fs::remove_file(&file).expect("a file can be removed"),
+    }
+    fits && asking.is_ok()
 }
 
 /// Finds and opens the first scenarios in a file or folder; true when one opens.
@@ -613,7 +652,7 @@ fn run_record(file: u8, bytes: &[u8]) -> bool {
 /// `CALLS` of a record become the digests of the two files: with another digest, a file is not
 /// read.
 fn run_folder(bytes: &[u8]) -> bool {
-    const FILES: [(&str, &[u8]); 5] = [
+    const FILES: [(&str, &[u8]); 7] = [
         (
             "manifest.toml",
             include_bytes!("corpus/run_folder/whole_manifest.bin"),
@@ -633,6 +672,14 @@ fn run_folder(bytes: &[u8]) -> bool {
         (
             "simulations/000000-a/replay.json.gz",
             include_bytes!("corpus/run_folder/whole_replay.bin"),
+        ),
+        (
+            "simulations/000000-a/bev/000.png",
+            include_bytes!("corpus/run_folder/whole_picture.bin"),
+        ),
+        (
+            "summary.json",
+            include_bytes!("corpus/run_folder/whole_summary.bin"),
         ),
     ];
     const REPLAY: usize = 4;
@@ -661,13 +708,19 @@ fn run_folder(bytes: &[u8]) -> bool {
             .replace("CALLS", &digest(3))
             .into_bytes();
     }
+    let in_run = |name: &str| format!("0001/{name}");
+    let placed: Vec<(String, &[u8])> = files
+        .iter()
+        .map(|(name, content)| (in_run(name), &content[..]))
+        .collect();
     let folder = folder(
-        &files
+        &placed
             .iter()
-            .map(|(name, content)| (*name, &content[..]))
+            .map(|(name, content)| (name.as_str(), *content))
             .collect::<Vec<_>>(),
     );
-    let run = folder.path().to_owned();
+    let run = folder.path().join("0001");
+    let last = last_run_of(folder.path());
     let completed = RunFolder::read_completed(&run).is_ok_and(|rows| !rows.rows.is_empty());
     let page = page::write(
         std::slice::from_ref(&run),
@@ -675,7 +728,18 @@ fn run_folder(bytes: &[u8]) -> bool {
         &PageSettings::default(),
         &|_, _| (),
     );
-    RunFolder::manifest(&run).is_ok() && completed && page.is_ok()
+    let first = SimulationChoice {
+        simulation: "0".to_owned(),
+        ..SimulationChoice::default()
+    };
+    let look = Look {
+        pixels: 160,
+        meters: 64.0,
+    };
+    if let Ok(film) = Film::open(&run, &first, look) {
+        let _ = (film.frame(0), film.frame(usize::MAX));
+    }
+    RunFolder::manifest(&run).is_ok() && completed && page.is_ok() && last.is_ok()
 }
 
 /// A modification of a scenario, read and applied.

@@ -15,6 +15,8 @@ from .errors import ArgumentError
 
 #: Longest shown value, characters.
 SHOWN = 80
+#: Longest time that can be asked for, seconds: thirty years. The native half counts microseconds.
+MAX_SECONDS = 1e9
 
 
 def wrong(name: str, value: object, expected: str) -> ArgumentError:
@@ -40,9 +42,10 @@ def whole(name: str, value: Any, least: int = 0, most: int | None = None) -> int
     return number
 
 
-def real(name: str, value: Any, least: float = -math.inf, *, above: bool = False) -> float:
-    """A finite number, also of numpy; at least `least`, or above it."""
+def real(name: str, value: Any, least: float = -math.inf, *, above: bool = False, most: float = math.inf) -> float:
+    """A finite number, also of numpy; at least `least`, or above it, and at most `most`."""
     bound = "" if least == -math.inf else f" {'greater than' if above else 'of at least'} {least:g}"
+    bound += "" if most == math.inf else f", at most {most:g}"
     expected = f"expected a finite number{bound}"
     if isinstance(value, (str, bytes, bool, np.bool_)):
         raise wrong(name, value, expected)
@@ -50,9 +53,14 @@ def real(name: str, value: Any, least: float = -math.inf, *, above: bool = False
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise wrong(name, value, expected) from None
-    if not math.isfinite(number) or number < least or (above and number == least):
+    if not math.isfinite(number) or number < least or (above and number == least) or number > most:
         raise wrong(name, value, expected)
     return number
+
+
+def seconds(name: str, value: Any) -> float:
+    """A time greater than 0."""
+    return real(name, value, 0.0, above=True, most=MAX_SECONDS)
 
 
 def truth(name: str, value: Any) -> bool:
@@ -78,18 +86,28 @@ def unicode(name: str, value: str) -> str:
     return value
 
 
+def word(name: str, value: str, expected: str) -> str:
+    """A text that can name a file."""
+    if not value or "\0" in value:
+        raise wrong(name, value, expected)
+    return unicode(name, value)
+
+
 def path(name: str, value: Any) -> str:
     """An absolute path: a later change of the working directory does not move it."""
     try:
-        word = os.fspath(value)
+        place = os.fspath(value)
     except TypeError:
         raise wrong(name, value, "expected a path") from None
-    if isinstance(word, bytes):
-        word = os.fsdecode(word)
-    if not word:
+    if isinstance(place, bytes):
+        place = os.fsdecode(place)
+    if not place or "\0" in place:
         raise wrong(name, value, "expected a path")
-    # Path.absolute leaves `..` behind a link as it is.
-    return str(Path(word).absolute())
+    try:
+        # Path.absolute leaves `..` behind a link as it is.
+        return str(Path(place).absolute())
+    except OSError as error:
+        raise wrong(name, value, f"a relative path needs a working directory, and that cannot be found: {error}") from None
 
 
 def many(name: str, value: Any, kind: type | tuple[type, ...], expected: str) -> list[Any]:

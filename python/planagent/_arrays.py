@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._arguments import wrong
 from .errors import ArgumentError
 
 #: Fields of an object; `kind` is a number of `KINDS`.
@@ -51,6 +54,15 @@ def image(picture: tuple[bytearray, int, int]) -> NDArray[np.uint8]:
     return np.frombuffer(data, dtype=np.uint8).reshape(height, width, 3)
 
 
+def array(name: str, values: Any, expected: str) -> NDArray[Any]:
+    """An array of any type; lists of different lengths make none."""
+    try:
+        made: NDArray[Any] = np.asarray(values)
+    except (TypeError, ValueError, Warning) as error:
+        raise wrong(name, values, f"{expected}: {error}") from None
+    return made
+
+
 def poses(values: ArrayLike, dimensions: int = 2) -> NDArray[np.float64]:
     """Poses x, y, heading as contiguous numbers, checked.
 
@@ -62,13 +74,16 @@ def poses(values: ArrayLike, dimensions: int = 2) -> NDArray[np.float64]:
         Number of dimensions that the array must have.
     """
     try:
+        # numpy before 1.24 makes an array of lists of these, with a warning.
+        if isinstance(values, (list, tuple)) and len({len(row) for row in values if isinstance(row, (list, tuple))}) > 1:
+            raise TypeError("its rows have different lengths")
         given = np.asanyarray(values)
         if given.dtype.kind not in "fiuO" or values is None:
             raise TypeError(f"it is {'None' if values is None else f'of type {given.dtype}'}")
         if np.ma.is_masked(given):
             raise TypeError("some of its numbers are masked")
         array = np.ascontiguousarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, Warning) as error:
         raise ArgumentError(f"expected an array of poses (x, y, heading), got what is no array of numbers: {error}") from None
     if array.ndim != dimensions or array.shape[-1] != 3 or 0 in array.shape:
         shape = " x ".join(["N"] * (dimensions - 2) + ["T", "3"])

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _arguments as arguments
-from . import _core
-from ._arguments import real, whole, wrong
+from . import _arrays, _core
+from ._arguments import seconds, whole, wrong
 from ._planners import settings_json
 from .errors import ArgumentError
 
@@ -22,6 +22,8 @@ __all__ = ["Answer", "Model"]
 
 #: Most tokens of an answer that can be asked for; the model's context ends it before.
 MAX_TOKENS = 2**31 - 1
+#: Most texts that an answer is chosen from; the grammar of an answer has room for about twice as many.
+MAX_CHOICES = 1000
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,8 @@ class Model:
             raise wrong("name", name, "expected the name of a model")
         if adapter is not None and not isinstance(adapter, (str, os.PathLike)):
             raise wrong("adapter", adapter, "expected the path of an adapter")
-        name = arguments.text("name", os.fspath(name))
-        adapter = None if adapter is None else arguments.text("adapter", os.fspath(adapter))
+        name = arguments.word("name", os.fsdecode(name), "expected the name of a model")
+        adapter = None if adapter is None else arguments.word("adapter", os.fsdecode(adapter), "expected the path of an adapter")
         self._native = _core.Model(settings_json(settings, mllm__model=name, mllm__adapter=adapter))
         self._arguments = (name, adapter, None if settings is None else dict(settings))
 
@@ -173,7 +175,7 @@ class Model:
         """
         picture = None
         if image is not None:
-            array = np.ascontiguousarray(image)
+            array = np.ascontiguousarray(_arrays.array("image", image, "expected a picture of height x width x 3 uint8 numbers"))
             if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
                 raise ArgumentError(
                     f"expected a picture of height x width x 3 uint8 numbers, got {array.dtype} of shape {array.shape}"
@@ -182,6 +184,8 @@ class Model:
         wanted = None if choices is None else arguments.texts("choices", choices)
         if wanted is not None and not wanted:
             raise wrong("choices", choices, "there is nothing to choose from")
+        if wanted is not None and len(wanted) > MAX_CHOICES:
+            raise wrong("choices", choices, f"there are {len(wanted)} of them, and {MAX_CHOICES} are the limit")
         if wanted is not None and "" in wanted:
             raise wrong("choices", choices, "one of them is empty")
         asked = {
@@ -189,7 +193,7 @@ class Model:
             "max_tokens": whole("max_tokens", max_tokens, 1, MAX_TOKENS),
             "choices": wanted,
             "regex": None if regex is None else arguments.text("regex", regex),
-            "deadline_s": None if deadline_s is None else real("deadline_s", deadline_s, 0.0, above=True),
+            "deadline_s": None if deadline_s is None else seconds("deadline_s", deadline_s),
             "seed": None if seed is None else whole("seed", seed, 0, 2**64 - 1),
         }
         answer, finish, tokens, milliseconds, log = self._native.ask(arguments.text("text", text), picture, asked)

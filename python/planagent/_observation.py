@@ -11,20 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays, _core
-from ._arguments import real, text, whole, wrong
+from ._arguments import real, seconds, text, whole, wrong
 from .errors import ArgumentError
 
 __all__ = ["EgoState", "Lane", "Observation", "Sample", "Trajectory", "TrajectoryScores"]
 
 #: What the native half takes as a number of pixels; it says which of these are too many.
 MAX_PIXELS = 2**32 - 1
+#: Latest time of a trajectory, microseconds: thousands of years, so that no difference of two overflows.
+MAX_TIME_US = 2**58
 
 
 def _microseconds(name: str, value: Any) -> int:
     """A time; a number with a point has none behind it."""
     if isinstance(value, (float, np.floating)) and float(value).is_integer():
         value = int(value)
-    return whole(name, value, -(2**63), 2**63 - 1)
+    return whole(name, value, -MAX_TIME_US, MAX_TIME_US)
 
 
 class EgoState(NamedTuple):
@@ -481,7 +483,7 @@ class Observation:
         """
         if isinstance(plan, Trajectory):
             return plan
-        return Trajectory._of(self._native.trajectory(_arrays.poses(plan).tobytes(), real("dt", dt, 0.0, above=True)))
+        return Trajectory._of(self._native.trajectory(_arrays.poses(plan).tobytes(), seconds("dt", dt)))
 
     def score(self, trajectories: ArrayLike) -> TrajectoryScores:
         """Scores trajectories by PDM-Closed's measure, as Reflection does.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import json
+import math
 import os
 import re
 import types
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
-from ._arguments import text, whole, wrong
+from ._arguments import text, unicode, whole, wrong
 from ._observation import Observation, Trajectory, native_observation
 from .errors import ArgumentError
 
@@ -70,7 +71,7 @@ class Bound:
         self._planner = planner
         plan = getattr(planner, "plan", planner)
         if not callable(plan):
-            raise _no_planner(planner, "it has no method plan and cannot be called")
+            raise _no_planner("planners", planner, "it has no method plan and cannot be called")
         #: What plans.
         self.function: Callable[[Observation], Any] = plan
 
@@ -89,46 +90,46 @@ class Bound:
         return observation.trajectory(planned)._native
 
 
-def as_factory(planner: Any) -> Callable[[], Bound]:
+def as_factory(planner: Any, argument: str = "planners") -> Callable[[], Bound]:
     """What makes a planner of one simulation. What is no planner is refused here, before a run begins."""
     if _is_of_nuplan(planner):
         from .nuplan import adapted
 
         return adapted(planner)
     if inspect.isclass(planner):
-        _check_call(planner, "a class", 0)
+        _check_call(argument, planner, "a class", 0)
         plan = getattr(planner, "plan", None) or (planner.__call__ if "__call__" in _members(planner) else None)
         if plan is not None:
             if callable(plan):
-                _check_call(plan, "its method plan", 2 if _is_of_instances(planner, plan) else 1)
+                _check_call(argument, plan, "its method plan", 2 if _is_of_instances(planner, plan) else 1)
             elif not isinstance(plan, property) and not hasattr(plan, "__get__"):
-                raise _no_planner(planner, "its attribute plan cannot be called")
+                raise _no_planner(argument, planner, "its attribute plan cannot be called")
             return lambda: Bound(planner())
         # Only an object shows whether it has a method plan.
         return _one_after_the_other([Bound(planner())], lambda: Bound(planner()))
     if planner is None or isinstance(planner, (str, bytes, Mapping)):
-        raise _no_planner(planner, "expected a name, a function, a class or an object with a method plan")
+        raise _no_planner(argument, planner, "expected a name, a function, a class or an object with a method plan")
     plan = getattr(planner, "plan", planner)
     if not callable(plan):
-        raise _no_planner(planner, "it has no method plan and cannot be called")
-    _check_call(plan, "the function" if plan is planner else "its method plan", 1)
+        raise _no_planner(argument, planner, "it has no method plan and cannot be called")
+    _check_call(argument, plan, "the function" if plan is planner else "its method plan", 1)
     owner = getattr(planner, "__self__", None)
     if inspect.ismethod(planner) and not inspect.isclass(owner):
         # The object of a method is copied as any other.
         function = planner.__func__
-        return _copies(owner, lambda own: Bound(types.MethodType(function, own)))
+        return _copies(argument, owner, lambda own: Bound(types.MethodType(function, own)))
     if inspect.isroutine(planner):
         return lambda: Bound(planner)
-    return _copies(planner, Bound)
+    return _copies(argument, planner, Bound)
 
 
-def _copies(planner: Any, bound: Callable[[Any], Bound]) -> Callable[[], Bound]:
+def _copies(argument: str, planner: Any, bound: Callable[[Any], Bound]) -> Callable[[], Bound]:
     """A copy of an object for each simulation."""
     try:
         first = bound(copy.deepcopy(planner))
     except Exception as error:
         raise _no_planner(
-            planner, f"an object is copied for each simulation, and copy.deepcopy fails: {error}; give the class or a function"
+            argument, planner, f"an object is copied for each simulation, and copy.deepcopy fails: {error}; give the class or a function"
         ) from error
     return _one_after_the_other([first], lambda: bound(copy.deepcopy(planner)))
 
@@ -155,11 +156,11 @@ def _is_of_instances(kind: type, plan: Any) -> bool:
     return inspect.isfunction(own)
 
 
-def _check_call(function: Any, what: str, arguments: int) -> None:
+def _check_call(argument: str, function: Any, what: str, arguments: int) -> None:
     """Refuses what cannot be called with so many arguments, where its signature is known."""
     kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
     if any(is_of_kind(function) for is_of_kind in kinds):
-        raise _no_planner(function, f"{what} is a coroutine or a generator, and a plan is returned")
+        raise _no_planner(argument, function, f"{what} is a coroutine or a generator, and a plan is returned")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
@@ -168,11 +169,11 @@ def _check_call(function: Any, what: str, arguments: int) -> None:
         signature.bind(*[None] * arguments)
     except TypeError as error:
         taken = "no argument" if arguments == 0 else "an observation"
-        raise _no_planner(function, f"{what} is called with {taken}: {error}") from None
+        raise _no_planner(argument, function, f"{what} is called with {taken}: {error}") from None
 
 
-def _no_planner(planner: Any, why: str) -> ArgumentError:
-    return wrong("planners", planner, f"this is no planner: {why}")
+def _no_planner(argument: str, planner: Any, why: str) -> ArgumentError:
+    return wrong(argument, planner, f"this is no planner: {why}")
 
 
 def is_planner(value: Any) -> bool:
@@ -231,12 +232,16 @@ def _plain(key: str, value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.tolist()
     if isinstance(value, os.PathLike):
-        return os.fspath(value)
+        return _plain(key, os.fspath(value))
     if isinstance(value, (list, tuple)):
         return [_plain(key, one) for one in value]
-    if not isinstance(value, (bool, int, float, str)) or value != value:
+    if not isinstance(value, (bool, int, float, str)):
         raise wrong(f"settings[{key!r}]", value, "expected a number, a text, a truth value or a list of these")
-    return value
+    if isinstance(value, float) and not math.isfinite(value):
+        raise wrong(f"settings[{key!r}]", value, "expected a finite number")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise wrong(f"settings[{key!r}]", value, "expected a number of 64 bits")
+    return unicode(f"settings[{key!r}]", value) if isinstance(value, str) else value
 
 
 def settings_json(settings: Mapping[str, Any] | None, **known: Any) -> str:
@@ -244,7 +249,13 @@ def settings_json(settings: Mapping[str, Any] | None, **known: Any) -> str:
     if settings is not None and not isinstance(settings, Mapping):
         raise wrong("settings", settings, "expected a dictionary by the keys of planagent.toml")
     whole = nested(settings or {})
-    for key, value in nested({k.replace("__", "."): v for k, v in known.items() if v is not None}).items():
+    given = {key.replace("__", "."): value for key, value in known.items() if value is not None}
+    for key, value in given.items():
+        section, _, last = key.rpartition(".")
+        other = (whole.get(section, {}) if section else whole).get(last, value)
+        if other != value:
+            raise wrong(f"settings[{key!r}]", other, f"the argument for it is {value!r}; leave one of them out")
+    for key, value in nested(given).items():
         if isinstance(value, dict):
             whole.setdefault(key, {}).update(value)
         else:

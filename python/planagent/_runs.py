@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from . import _core, _threads
-from ._arguments import callback, many, path, real, text, texts, truth, unicode, whole, wrong
+from ._arguments import callback, many, path, seconds, text, texts, truth, whole, word, wrong
 from ._planners import Bound, as_factory, is_planner, name_of, settings_json
 from ._progress import Progress, printer_of
 from ._results import Results
@@ -46,16 +46,19 @@ def _words(values: Any) -> list[str]:
                 raise ArgumentError(f"the scenario {value.id} has no name; a run needs names. Use Simulation, or export_nuplan")
             words.append(value.name)
         else:
-            words.append(unicode("scenarios", os.fspath(value)))
+            words.append(word("scenarios", os.fsdecode(value), "expected the name of a scenario"))
     return words
 
 
 def _planners(planners: Any) -> tuple[list[str], list[tuple[str, Callable[[], Bound]]]]:
     """Names of all planners, and those in Python."""
     if isinstance(planners, Mapping):
-        pairs = [(str(name), planner) for name, planner in planners.items()]
+        for name in planners:
+            if not isinstance(name, str):
+                raise wrong("planners", planners, f"the name {name!r} is no text")
+        pairs = list(planners.items())
     else:
-        is_one = isinstance(planners, str) or is_planner(planners) or not isinstance(planners, Iterable)
+        is_one = isinstance(planners, (str, bytes)) or is_planner(planners) or not isinstance(planners, Iterable)
         pairs = [
             (planner if isinstance(planner, str) else name_of(planner), planner)
             for planner in ([planners] if is_one else planners)
@@ -277,6 +280,8 @@ def merge(runs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], out: 
     2
     """
     folders = [path("runs", run) for run in many("runs", runs, (str, os.PathLike), "the folder of a run")]
+    if not folders:
+        raise wrong("runs", folders, "there is no run to merge; name the folders of the shards")
     merged = Results(_core.merge(folders, path("out", out)), is_kept=True)
     merged.warn()
     return merged
@@ -319,12 +324,12 @@ def _asked(
         "splits": named,
         "types": _some("types", types),
         "shuffle": truth("shuffle", shuffle),
-        "limit": None if limit is None else whole("limit", limit, 1),
+        "limit": None if limit is None else whole("limit", limit, 1, 2**63 - 1),
         "shard": shard,
         "planners": names,
         "challenges": _some("challenge", challenge),
         "agents": None if agents is None else text("agents", agents),
-        "exec_timeout": None if exec_timeout is None else real("exec_timeout", exec_timeout, 0.0, above=True),
+        "exec_timeout": None if exec_timeout is None else seconds("exec_timeout", exec_timeout),
         "settings": None if settings is None else settings_json(settings),
         "retry_failed": truth("retry_failed", retry_failed),
         "accept_changes": truth("accept_changes", accept_changes),

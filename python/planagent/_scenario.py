@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _arrays, _core
-from ._arguments import path, real, truth, unicode, whole, wrong
+from ._arguments import path, real, text, truth, whole, word, wrong
 from ._observation import Lane, Observation
 from .errors import ScenarioError
 
@@ -160,7 +161,7 @@ class Scenario:
         id: str = "table",
         scenario_type: str = "unknown",
         history_s: float = 0.0,
-        route: list[int] | None = None,
+        route: Iterable[Any] | None = None,
     ) -> Scenario:
         """A scenario from tables: of pandas, of polars, or dictionaries of columns.
 
@@ -195,9 +196,16 @@ class Scenario:
         >>> scenario.iterations
         60
         """
-        from ._tables import native_arguments
+        from ._tables import STEP_S, native_arguments
 
         history_s = real("history_s", history_s, 0.0)
+        if abs(history_s / STEP_S - round(history_s / STEP_S)) > 1e-6:
+            raise wrong("history_s", history_s, f"expected a multiple of {STEP_S} s")
+        id, scenario_type = text("id", id), text("scenario_type", scenario_type)
+        if route is not None:
+            route = [route] if isinstance(route, (str, bytes)) else list(route)
+            if not route:
+                raise wrong("route", route, "name a lane, or leave it out")
         arguments = native_arguments(ego, agents, lanes, lights, (id, scenario_type), history_s, route)
         return _again(arguments)
 
@@ -234,7 +242,7 @@ def open(name: str | os.PathLike[str]) -> Scenario:
 def _word(name: Any) -> str:
     if not isinstance(name, (str, os.PathLike)):
         raise wrong("name", name, "expected the name of a scenario")
-    return unicode("name", os.fspath(name))
+    return word("name", os.fsdecode(name), "expected the name of a scenario")
 
 
 def opened(argument: str, scenario: Any) -> Scenario:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays, _core
-from ._arguments import real, text, whole
+from ._arguments import seconds, text, whole
 from ._observation import EgoState, Observation, Trajectory
 from ._planners import Agent, as_factory
 from ._scenario import Scenario, opened
@@ -143,6 +143,8 @@ class Simulation:
 
         Raises
         ------
+        ArgumentError
+            Where the plan does not begin at the ego, or jumps; poses relative to the ego do.
         SimulationError
             Where the simulation is over or the trajectory cannot be tracked.
 
@@ -157,7 +159,7 @@ class Simulation:
         if isinstance(plan, Trajectory):
             self._native.step(plan._native)
         else:
-            self._native.step_poses(_arrays.poses(plan).tobytes(), real("dt", dt, 0.0, above=True))
+            self._native.step_poses(_arrays.poses(plan).tobytes(), seconds("dt", dt))
         return self.observe()
 
     def clone(self) -> Simulation:
@@ -202,13 +204,13 @@ class Simulation:
         1.0
         """
         if steps is not None:
-            steps = whole("steps", steps)
+            steps = min(whole("steps", steps), self._native.iterations)
         if isinstance(planner, str):
             planner = Agent(planner=planner, scenario=self.scenario)
         if isinstance(planner, Agent):
             self._native.run(planner._native, steps)
             return self
-        bound = as_factory(planner)()
+        bound = as_factory(planner, "planner")()
         left = steps if steps is not None else self._native.iterations
         while left > 0 and not self.is_over:
             self._native.step(bound.plan(self._native.observe()))

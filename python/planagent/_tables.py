@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._arrays import KINDS
+from ._arguments import wrong
+from ._arrays import KINDS, array
 from .errors import ScenarioError
 
 #: Length and width of an object where its table has none, meters: those of the library.
@@ -23,15 +24,24 @@ OTHER_SIZE = (2.0, 0.6)
 LANE_WIDTH = 3.5
 #: Time between two frames, and how far one may be off, seconds.
 STEP_S, JITTER_S = 0.1, 0.02
+#: Largest coordinate (meters), speed and acceleration: products of larger ones overflow.
+MAX_NUMBER = 1e9
+#: Latest time, seconds: also that of the clock of a computer.
+MAX_TIME = 1e11
+#: Largest width of a lane and side of an object, meters, and largest speed limit, m/s.
+MAX_SIDE, MAX_LIMIT = 1e3, 1e3
 
 
 class _Table:
     """The columns of a table."""
 
     def __init__(self, name: str, source: Any) -> None:
-        columns = source.keys() if isinstance(source, Mapping) else source.columns
+        columns = source.keys() if isinstance(source, Mapping) else getattr(source, "columns", None)
+        if columns is None or isinstance(columns, (str, bytes)):
+            argument = name.split()[-1]
+            raise wrong(argument, source, "expected a table: of pandas, of polars, or a dictionary of columns")
         self._name = name
-        self._columns = {str(column): np.asarray(source[column]) for column in columns}
+        self._columns = {str(column): array(f"the column {column} of {name}", source[column], "expected a value a row") for column in columns}
         lengths = {len(column) for column in self._columns.values()}
         if len(lengths) > 1:
             raise ScenarioError(f"the columns of the table of {name} have different lengths: {sorted(lengths)}")
@@ -48,9 +58,33 @@ class _Table:
             raise ScenarioError(f"the table of {self._name} has no column {column}; it has {known}")
         return np.full(self.rows, default)
 
-    def numbers(self, column: str, default: float | None = None) -> NDArray[np.float64]:
+    def numbers(
+        self, column: str, default: float | None = None, *, above: float = -MAX_NUMBER, most: float = MAX_NUMBER
+    ) -> NDArray[np.float64]:
+        """Numbers between two bounds; one that is missing is NaN."""
+        numbers = self._floats(column, default)
+        beyond = (numbers <= above) | (numbers > most)
+        if beyond.any():
+            row = int(np.argmax(beyond))
+            expected = f"greater than {above:g} and at most {most:g}"
+            raise ScenarioError(
+                f"the column {column} of the table of {self._name} has {numbers[row]:g} in row {row}; it must be {expected}"
+            )
+        return numbers
+
+    def truths(self, column: str) -> NDArray[np.bool_]:
+        """Truth values, also as 0 and 1; false without the column."""
+        values = self.values(column, False)
+        if values.dtype.kind == "O":
+            values = np.array([False if value is None else value for value in values])
+        if values.dtype.kind not in "biuf" or not np.isin(values, (0, 1)).all():
+            raise ScenarioError(f"the column {column} of the table of {self._name} holds no truth values")
+        return values.astype(np.bool_)
+
+    def _floats(self, column: str, default: float | None) -> NDArray[np.float64]:
+        values = self.values(column, default)
         try:
-            return self.values(column, default).astype(np.float64)
+            return values.astype(np.float64)
         except (TypeError, ValueError) as error:
             raise ScenarioError(f"the column {column} of the table of {self._name} holds no numbers: {error}") from None
 
@@ -66,7 +100,7 @@ def _frame_of(times: NDArray[np.float64], frames: NDArray[np.float64], name: str
 
 def _ego(ego: _Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Times (s) and x, y, heading, vx, vy, ax, ay of the ego."""
-    times = ego.numbers("time_s")
+    times = ego.numbers("time_s", above=-MAX_TIME, most=MAX_TIME)
     if len(times) < 2:
         raise ScenarioError("the table of the ego has fewer than two rows")
     steps = np.diff(times)
@@ -93,7 +127,7 @@ def _agents(agents: _Table, frames: NDArray[np.float64]) -> list[list[tuple[int,
     rows: list[list[tuple[int, int, list[float]]]] = [[] for _ in frames]
     if agents.rows == 0:
         return rows
-    places = _frame_of(agents.numbers("time_s"), frames, "agents")
+    places = _frame_of(agents.numbers("time_s", above=-MAX_TIME, most=MAX_TIME), frames, "agents")
     tokens = [str(token) for token in agents.values("token")]
     numbers = {token: number for number, token in enumerate(dict.fromkeys(tokens))}
     kinds = [str(kind) for kind in agents.values("kind", "vehicle")]
@@ -102,8 +136,8 @@ def _agents(agents: _Table, frames: NDArray[np.float64]) -> list[list[tuple[int,
         raise ScenarioError(f"the table of agents has the kind {unknown}; kinds are {', '.join(KINDS)}")
     x, y, heading = (agents.numbers(column) for column in ("x", "y", "heading"))
     sizes = np.array([SIZES.get(kind, OTHER_SIZE) for kind in kinds])
-    length = agents.numbers("length") if "length" in agents else sizes[:, 0]
-    width = agents.numbers("width") if "width" in agents else sizes[:, 1]
+    length = agents.numbers("length", above=0.0, most=MAX_SIDE) if "length" in agents else sizes[:, 0]
+    width = agents.numbers("width", above=0.0, most=MAX_SIDE) if "width" in agents else sizes[:, 1]
     if "vx" in agents:
         vx, vy = agents.numbers("vx"), agents.numbers("vy")
     else:
@@ -138,10 +172,9 @@ def _lanes(lanes: _Table) -> tuple[dict[str, int], list[dict[str, Any]]]:
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     points = np.column_stack([lanes.numbers("x"), lanes.numbers("y")])
     places = np.array([numbers[name] for name in names])
-    width = lanes.numbers("width", LANE_WIDTH)
-    limit = lanes.numbers("speed_limit", np.nan)
-    connector = lanes.values("connector", False)
-    light = lanes.values("light", False)
+    width = lanes.numbers("width", LANE_WIDTH, above=0.0, most=MAX_SIDE)
+    limit = lanes.numbers("speed_limit", np.nan, above=0.0, most=MAX_LIMIT)
+    connector, light = lanes.truths("connector"), lanes.truths("light")
     left = lanes.values("left", "").astype(object)
     rows = []
     for name, number in numbers.items():
@@ -185,7 +218,7 @@ def native_arguments(
     colors: list[list[tuple[int, str]]] = [[] for _ in times]
     if lights is not None:
         table = _Table("lights", lights)
-        places = _frame_of(table.numbers("time_s"), times, "lights")
+        places = _frame_of(table.numbers("time_s", above=-MAX_TIME, most=MAX_TIME), times, "lights")
         for place, name, status in zip(places, table.values("lane"), table.values("status")):
             colors[int(place)].append((lane(name), str(status)))
     micros = [round(float(time) * 1e6) for time in times]

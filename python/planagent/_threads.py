@@ -46,7 +46,11 @@ class _Thread(threading.Thread):
     def run(self) -> None:
         while True:
             serving = self._work.get()
-            serving.run()
+            try:
+                serving.run()
+            except BaseException as error:
+                # Nothing may leave the run waiting for an answer.
+                serving.give_up(error)
             del serving
             with _idle_lock:
                 _idle.append(self)
@@ -86,17 +90,31 @@ class _Serving:
                 run.answer(seat, plan)
             del asked, argument
 
+    def give_up(self, error: BaseException) -> None:
+        """Fails what the run asks and goes on asking."""
+        run, seat = self._run, self._seat
+        run.fail(seat, _printable(f"{type(error).__name__} in the thread of the planner"))
+        while (asked := run.question(seat)) is not None:
+            if asked[0] != "drop":
+                run.fail(seat, "the thread of the planner failed before")
+
     def _text(self, error: BaseException, function: Any) -> str:
         """An exception in a line, with the place in the planner. Its traceback is kept."""
         try:
             said = "".join(traceback.format_exception_only(type(error), error)).strip()
             place = _place(error, function)
-            line = said if place is None else f"{said} ({place})"
-            self._tracebacks[line] = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-        except Exception:
+            line = _printable(said if place is None else f"{said} ({place})")
+            told = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+            self._tracebacks[line] = _printable(told)
+        except BaseException:
             # An exception that cannot be shown, or no stack left to show it.
-            return f"{type(error).__name__}: it has no text"
+            return _printable(f"{type(error).__name__}: it has no text")
         return line
+
+
+def _printable(text: str) -> str:
+    """A text without halves of characters, which the native half does not take."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _is_of_library(file: str) -> bool:

@@ -58,6 +58,10 @@ POSE_LOW = (-20.0, -80.0, -np.pi)
 CODE = {"centerline": 3, "speed": 11, "accelerations": 4}
 #: Steps of 0.1 s that an action lasts: a code lasts two seconds, as the paper's.
 TRAJECTORY_STEPS, CODE_STEPS = 1, 20
+#: Most episodes that step together: each holds a scene of its own in memory.
+MAX_ENVS = 10_000
+#: Largest seed.
+MAX_SEED = 2**64 - 1
 #: Time that the plan of a code reaches, and a step, seconds.
 CODE_S, STEP_S = 8.0, 0.1
 
@@ -85,7 +89,7 @@ class _Rules:
         named = many("scenarios", scenarios, kinds, "a Scenario or the name of one")
         if not named:
             raise wrong("scenarios", named, "an environment needs a scenario")
-        self.count = whole("num_envs", count, 1)
+        self.count = whole("num_envs", count, 1, MAX_ENVS)
         self.scenarios = [opened("scenarios", one) for one in named]
         native = [scenario._native for scenario in self.scenarios]
         self.native = _core.Vector(native, text("challenge", challenge), self.count, steps, pose_dt_s)
@@ -96,11 +100,18 @@ class _Rules:
         self, seeds: Sequence[int | None], options: Mapping[str, Any] | None
     ) -> tuple[NDArray[np.float32], list[str]]:
         scenario = None
-        if options and options.get("scenario") is not None:
+        if options is not None and not isinstance(options, Mapping):
+            raise wrong("options", options, "expected a dictionary")
+        for key in options or {}:
+            if key != "scenario":
+                raise wrong("options", options, f"the option {key!r} is unknown; there is 'scenario'")
+        chosen = (options or {}).get("scenario")
+        if chosen is not None:
+            chosen = chosen.id if isinstance(chosen, Scenario) else chosen
             names = [one.id for one in self.scenarios]
-            if options["scenario"] not in names:
-                raise ArgumentError(f"the scenario {options['scenario']} is none of {', '.join(names)}")
-            scenario = names.index(options["scenario"])
+            if chosen not in names:
+                raise wrong("options['scenario']", chosen, f"expected one of {', '.join(names)}")
+            scenario = names.index(chosen)
         return self.observations(self.native.reset(list(seeds), scenario)), self.ids()
 
     def infos(self) -> dict[str, Any]:
@@ -170,7 +181,7 @@ class _Form:
                 raise wrong("the action", actions, f"expected the keys {', '.join(CODE)}")
             parts = [_whole_numbers(name, actions[name], shape, size) for name, size in CODE.items()]
         elif self.name == "multi":
-            values = np.asarray(actions)
+            values = _arrays.array("the action", actions, f"expected the shape {(*shape, len(CODE))}")
             if values.shape != (*shape, len(CODE)):
                 raise wrong("the action", actions, f"expected the shape {(*shape, len(CODE))}, got {values.shape}")
             parts = [_whole_numbers(name, values[..., i], shape, size) for i, (name, size) in enumerate(CODE.items())]
@@ -225,8 +236,9 @@ class _Env(gymnasium.Env[NDArray[np.float32], Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins an episode; `options={"scenario": ID}` chooses its scenario, else `seed` does."""
+        seed = None if seed is None else whole("seed", seed, 0, MAX_SEED)
         super().reset(seed=seed)
-        observations, _ = self._rules.reset([None if seed is None else whole("seed", seed)], options)
+        observations, _ = self._rules.reset([seed], options)
         self._is_ended = False
         return observations[0], self._rules.info()
 
@@ -351,11 +363,12 @@ class _VectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], Any, NDArray[np
         if seed is None:
             seeds = [None] * self.num_envs
         elif isinstance(seed, Iterable):
-            seeds = [None if one is None else whole("seed", one) for one in seed]
+            seeds = [None if one is None else whole("seed", one, 0, MAX_SEED) for one in seed]
             if len(seeds) != self.num_envs:
                 raise wrong("seed", seeds, f"expected a number or {self.num_envs} of them")
         else:
-            seeds = [whole("seed", seed) + i for i in range(self.num_envs)]
+            first = whole("seed", seed, 0, MAX_SEED - self.num_envs)
+            seeds = [first + i for i in range(self.num_envs)]
         super().reset(seed=seeds[0])
         observations, _ = self._rules.reset(seeds, options)
         return observations, self._rules.infos()

@@ -12,7 +12,7 @@ use planagent::{EgoState, Scene};
 use planagent_agent::environment::bev::render as render_bev;
 use planagent_agent::environment::text::write as write_lane_graph;
 use planagent_agent::environment::{
-    BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm,
+    BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm, UnknownChoice,
 };
 use planagent_agent::planner::planner_code;
 use planagent_agent::reflection::{Judge, PlanBuilder, Ride};
@@ -26,6 +26,7 @@ use pyo3::types::{PyByteArray, PyBytes, PyDict};
 use serde::{Deserialize, Serialize};
 use serde_pickle::{DeOptions, SerOptions};
 use std::borrow::Cow;
+use std::str::FromStr;
 use std::sync::Arc;
 
 /// Length of the nodes of the lane graph, meters: that of the paper's settings.
@@ -99,6 +100,16 @@ type Picture<'py> = (Bound<'py, PyByteArray>, u32, u32);
 fn picture(py: Python<'_>, image: RgbImage) -> Picture<'_> {
     let (width, height) = image.dimensions();
     (array(py, image.as_raw()), height, width)
+}
+
+/// The value of an argument that is one of a few words.
+fn chosen<T: FromStr<Err = UnknownChoice>>(argument: &str, word: &str) -> Outcome<T> {
+    word.parse().map_err(|unknown: UnknownChoice| {
+        Failure::argument(format!(
+            "{argument} is '{word}'; expected one of {}",
+            unknown.expected
+        ))
+    })
 }
 
 impl Observation {
@@ -244,9 +255,7 @@ impl Observation {
     /// The lane graph in words, in the form of a prompt set.
     fn lane_graph(&self, py: Python<'_>, form: String) -> PyResult<String> {
         quick(py, || {
-            let form: TextForm = form
-                .parse()
-                .map_err(|error| Failure::argument(format!("{error}")))?;
+            let form: TextForm = chosen("form", &form)?;
             Ok(write_lane_graph(
                 &Description::from_graph(&self.graph()?),
                 form,
@@ -277,9 +286,7 @@ impl Observation {
     ) -> PyResult<Trajectory> {
         quick(py, || {
             let graph = self.graph()?;
-            let name: CenterlineName = centerline
-                .parse()
-                .map_err(|error| Failure::argument(format!("{error}")))?;
+            let name: CenterlineName = chosen("centerline", &centerline)?;
             let builder = PlanBuilder {
                 lead_policy: LeadPolicy::Nearest,
                 ride: Ride::default(),

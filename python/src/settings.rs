@@ -21,10 +21,17 @@ pub(crate) fn config(settings: &str) -> Outcome<Config> {
     let mut config = Config::default();
     config.mllm.offline = offline_variable().is_some();
     config.mllm.trust = trial();
-    config
-        .overlaid(&table)
-        .map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
+    config.overlaid_at(&table, PLACE).map_err(|error| {
+        let said = planagent_runs::worker::run::with_causes(&error);
+        let said = said.strip_prefix("in the configuration ").unwrap_or(&said);
+        // The key of a value stands in a line of its own.
+        let lines: Vec<&str> = said.lines().map(str::trim).collect();
+        invalid(lines.join(", "))
+    })
 }
+
+/// The argument that errors name.
+const PLACE: &str = "settings";
 
 type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
 type Slots = HashMap<(u32, String), Slot>;

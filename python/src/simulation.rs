@@ -9,6 +9,7 @@ use crate::work::{computed, lock, long, quick};
 use planagent::evaluation::{EvaluatedSimulation, Evaluation, MetricRegistry, Role};
 use planagent::planning::HistorySample;
 use planagent::{Challenge, EgoState, Scenario as Opened, Scene, Trajectory as Planned};
+use planagent_agent::planner::check_plan;
 use planagent_agent::simulation::ClosedLoop;
 use planagent_runs::worker::run::with_causes;
 use planagent_scenario::HeldScenario;
@@ -56,6 +57,15 @@ impl State {
         self.samples.push(sample);
         self.plans.push(plan);
         Ok(())
+    }
+
+    /// One step along a trajectory of Python, which starts at the ego and moves as a vehicle can.
+    fn step_checked(&mut self, plan: Planned) -> Outcome<()> {
+        if !self.closed_loop.is_over() {
+            check_plan(&plan, &self.closed_loop.present().ego)
+                .map_err(|jump| Failure::argument(jump.to_string()))?;
+        }
+        self.step(plan, "of Python")
     }
 
     fn observe(&self, scenario: &Opened) -> Observation {
@@ -168,7 +178,7 @@ impl Simulation {
     /// One step along a trajectory.
     fn step(&self, py: Python<'_>, plan: &Bound<'_, Trajectory>) -> PyResult<()> {
         let plan = plan.get().0.clone();
-        quick(py, || lock(&self.state).step(plan, "of Python"))
+        quick(py, || lock(&self.state).step_checked(plan))
     }
 
     /// One step through packed poses at equal steps after the present.
@@ -177,7 +187,7 @@ impl Simulation {
             let poses = poses(packed_poses)?;
             let mut state = lock(&self.state);
             let plan = through(&state.closed_loop.present().ego, &poses, dt_s)?;
-            state.step(plan, "of Python")
+            state.step_checked(plan)
         })
     }
 

@@ -13,6 +13,10 @@ const POSE: usize = 3;
 /// Fewest poses of a plan, as for a command: one says neither how fast to drive nor where to turn.
 const MIN_POSES: usize = 2;
 
+/// Longest time between the present and the last pose, seconds: thirty years. The clock of a scene
+/// counts microseconds in 64 bits.
+const MAX_S: f64 = 1e9;
+
 /// A path in time of the ego's rear axle.
 #[pyclass(frozen, module = "planagent._core")]
 pub(crate) struct Trajectory(pub(crate) Planned);
@@ -67,9 +71,10 @@ pub(crate) fn planned(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Plan
 
 /// A trajectory from the ego's present state through poses at equal steps after it.
 pub(crate) fn through(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Planned> {
-    if !(dt_s.is_finite() && dt_s > 0.0) {
+    if !(dt_s > 0.0 && dt_s * poses.len() as f64 <= MAX_S) {
         return Err(Failure::argument(format!(
-            "dt is {dt_s}; it must be a number of seconds greater than 0"
+            "dt is {dt_s:e}; it must be greater than 0 s, and the last of {} poses at most {MAX_S:e} s away",
+            poses.len()
         )));
     }
     let mut states = vec![TrajectoryState::from(ego)];
@@ -100,7 +105,7 @@ impl Trajectory {
             let mut states: Vec<TrajectoryState> = Vec::with_capacity(poses.len());
             for (&time_us, &pose) in times_us.iter().zip(&poses) {
                 let speed = states.last().map_or(0.0, |before| {
-                    let seconds = (time_us - before.time_us) as f64 / MICROS_PER_SECOND;
+                    let seconds = time_us.saturating_sub(before.time_us) as f64 / MICROS_PER_SECOND;
                     if seconds > 0.0 {
                         before.rear_axle.distance(&pose) / seconds
                     } else {

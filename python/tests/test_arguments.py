@@ -65,6 +65,17 @@ SIMULATE = [
     ({"agents": 3}, "agents is 3"),
     ({"out": 3}, "out is 3"),
     ({"out": ""}, "out is ''"),
+    ({"out": "a\0b"}, "out is"),
+    ({"scenarios": ""}, "scenarios is ''"),
+    ({"scenarios": "a\0b"}, "scenarios is"),
+    ({"planners": b"idm"}, "planners is b'idm'"),
+    ({"planners": {3: "idm"}}, "the name 3 is no text"),
+    ({"limit": 10**30}, "limit is 1000"),
+    ({"exec_timeout": 1e300}, "exec_timeout is 1e"),
+    ({"settings": {"reflection.threshold": math.inf}}, r"settings\['reflection.threshold'\] is inf"),
+    ({"settings": {"seed": 2**70}}, r"settings\['seed'\] is 1180"),
+    ({"settings": {"mllm.model": "\udcff"}}, "no text of Unicode"),
+    ({"settings": {"mllm": {"quantize": "q9"}}}, "settings: unknown weight format"),
     ({"scenarios": None, "splits": "val15"}, "val15"),
     ({"scenarios": None, "splits": "generated", "types": "no_such_type"}, "no_such_type"),
 ]
@@ -76,7 +87,7 @@ def test_a_wrong_argument_of_a_run_is_named(arguments, said, tmp_path):
     with pytest.raises(ValueError, match=said) as caught:
         planagent.simulate(**given)
     assert isinstance(caught.value, errors.PlanAgentError)
-    assert "line 1 column" not in str(caught.value) and " --" not in str(caught.value)
+    assert "line 1 column" not in str(caught.value) and " --" not in str(caught.value) and "\n" not in str(caught.value)
     # The corrected call is not refused.
     assert not (tmp_path / "run").exists()
 
@@ -341,3 +352,77 @@ def test_results_tables_and_observations_pickle(observation, tmp_path):
     assert np.array_equal(again.code().poses, observation.code().poses)
     assert [s.ego for s in again.history] == [s.ego for s in observation.history] and again.lights == observation.lights
     assert copy.deepcopy(observation).ego == observation.ego
+
+
+def test_what_is_given_twice_must_agree():
+    with pytest.raises(planagent.PlanAgentError, match=r"settings\['mllm.model'\] is 'other'.*'nano'"):
+        planagent.Model("nano", settings={"mllm.model": "other"})
+    with pytest.raises(planagent.PlanAgentError, match=r"settings\['seed'\] is 3"):
+        planagent.Agent(planner="idm", seed=4, settings={"seed": 3})
+    assert planagent.Agent(planner="idm", seed=4, settings={"seed": 4}).name == "idm"
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: planagent.merge([], "out"), r"runs is \[\]"),
+        (lambda: planagent.open(""), "name is ''"),
+        (lambda: planagent.Model(""), "name is ''"),
+        (lambda: planagent.Model("nano").ask(None, "?", choices=["a"] * 5000), "5000 of them"),
+        (lambda: planagent.Model("nano").ask([[1, 2], [3]], "?"), r"image is \[\[1, 2\], \[3\]\]; expected a picture"),
+        (lambda: planagent.Model("nano").ask(None, "?", deadline_s=1e300), "deadline_s is 1e"),
+        (lambda: planagent.open(SCENE).observe().code("there"), "centerline is 'there'; expected one of ego_lane"),
+        (lambda: planagent.open(SCENE).observe().lane_graph("long"), "form is 'long'; expected one of paper"),
+        (lambda: planagent.Simulation(SCENE).run(["idm"]), r"planner is \['idm'\]"),
+        (lambda: planagent.Trajectory([[0, 0, 0], [1, 0, 0]], [-(2**63), 2**63 - 1]), r"times_us\[0\] is"),
+        (lambda: planagent.Trajectory([[0, 0, 0], [1, 0, 0]], [0, 1]).at(2**62), "time_us is"),
+    ],
+    ids=str,
+)
+def test_other_arguments_are_named(call, said):
+    with pytest.raises(ValueError, match=said) as caught:
+        call()
+    assert isinstance(caught.value, errors.PlanAgentError)
+
+
+def test_steps_beyond_the_end_are_the_end():
+    for planner in ("idm", lambda observation: observation.code()):
+        assert planagent.Simulation(SCENE).run(planner, steps=10**20).is_over
+
+
+@pytest.mark.parametrize("dt", [1e300, 1e9, 1e7, 1e-9])
+def test_poses_without_a_time_are_refused(dt):
+    poses = np.tile(planagent.open(SCENE).observe().ego.pose, (40, 1))
+    with pytest.raises(planagent.errors.ArgumentError):
+        planagent.Simulation(SCENE).step(poses, dt=dt)
+
+
+def test_a_plan_of_years_is_refused():
+    def years(observation):
+        ego = observation.ego
+        return planagent.Trajectory([ego.pose, ego.pose], [ego.time_us, ego.time_us + 10**15])
+
+    with pytest.raises(planagent.PlanAgentError, match="600 s are the limit"):
+        planagent.Simulation(SCENE).run(years, steps=1)
+    results = planagent.simulate(SCENE, {"years": years, "idm": "idm"})
+    assert [failure.planner for failure in results.failures] == ["years"]
+
+
+def test_a_step_follows_no_plan_that_leaves_the_ego():
+    simulation, other = planagent.Simulation(SCENE), planagent.open("generated/stopping_with_lead/1")
+    ahead = np.column_stack([np.arange(1, 41), np.zeros(40), np.zeros(40)])
+    for plan in (ahead, ahead + [1e6, 0, 0], other.observe().code()):
+        with pytest.raises(planagent.errors.ArgumentError, match="the plan"):
+            simulation.step(plan)
+        with pytest.raises(planagent.PlanAgentError, match="the plan"):
+            simulation.run(lambda observation, plan=plan: plan, steps=1)
+    assert simulation.iteration == 0
+
+
+def test_a_relative_path_needs_a_working_directory(tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(planagent.errors.ArgumentError, match="out is 'run'"):
+        planagent.simulate(SCENE, "idm", out="run")

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+import planagent
 import pytest
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -95,7 +96,7 @@ def test_wrong_actions_are_named():
     environment.reset(seed=0)
     with pytest.raises(ValueError, match="is no code"):
         environment.step({"centerline": 7, "speed": 0, "accelerations": 0})
-    with pytest.raises(ValueError, match="none of"):
+    with pytest.raises(ValueError, match="expected one of"):
         environment.reset(options={"scenario": "generated/changing_lane/3"})
     with pytest.raises(ValueError, match="needs a scenario"):
         envs.CodeEnv([])
@@ -200,3 +201,28 @@ def test_environments_without_a_seed_differ():
     assert len(drawn) > 1
     again = [envs.CodeVectorEnv(4, scenes).reset(seed=5)[1]["scenario"] for _ in range(2)]
     assert again[0] == again[1]
+
+
+def test_wrong_seeds_options_and_counts_are_named():
+    environment = envs.CodeEnv(SCENES[0])
+    for arguments, said in [
+        ({"seed": 2**70}, "seed is"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": True}, "seed is True"),
+        ({"options": {"scenarios": SCENES[0]}}, "'scenarios' is unknown"),
+        ({"options": {"scenario": "nowhere"}}, "options\\['scenario'\\] is 'nowhere'"),
+        ({"options": [1]}, "options is"),
+    ]:
+        with pytest.raises(planagent.errors.ArgumentError, match=said):
+            environment.reset(**arguments)
+        with pytest.raises(planagent.errors.ArgumentError, match=said):
+            envs.CodeVectorEnv(1, SCENES[0]).reset(**arguments)
+    several = envs.CodeEnv(SCENES[0], actions="multi")
+    several.reset()
+    with pytest.raises(planagent.errors.ArgumentError, match="the action is"):
+        several.step([[1, 2], [3]])
+    for count in (10**7, 10**30):
+        with pytest.raises(planagent.errors.ArgumentError, match="num_envs is"):
+            envs.CodeVectorEnv(count, SCENES[0])
+    chosen = planagent.open(SCENES[0])
+    assert environment.reset(options={"scenario": chosen})[1]["scenario"] == chosen.id

@@ -96,3 +96,39 @@ def test_what_is_wrong_with_a_table_is_named(change, said):
     change(tables)
     with pytest.raises(ValueError, match=said):
         planagent.Scenario.of_tables(*tables.values())
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"ego": None}, "ego is None; expected a table"),
+        ({"agents": 3}, "agents is 3; expected a table"),
+        ({"lanes": "lanes.csv"}, "lanes is 'lanes.csv'; expected a table"),
+        ({"ego": {**ego(), "x": [[1.0, 2.0], [3.0]] * 40}}, "column x of the ego is"),
+        ({"id": "\udcff"}, "id is"),
+        ({"id": 3}, "id is 3"),
+        ({"scenario_type": 3}, "scenario_type is 3"),
+        ({"history_s": 0.05}, "history_s is 0.05"),
+        ({"route": []}, r"route is \[\]"),
+        ({"route": "nowhere"}, "no lane nowhere"),
+        ({"agents": {**agents(), "x": np.full(160, 1e300)}}, "column x .* 1e\\+300 in row 0"),
+        ({"agents": {**agents(), "length": np.full(160, 1e300)}}, "column length"),
+        ({"agents": {**agents(), "width": np.full(160, -1.0)}}, "column width"),
+        ({"lanes": {**lanes(), "width": [0.0] * 8}}, "column width"),
+        ({"lanes": {**lanes(), "speed_limit": [-1.0] * 8}}, "column speed_limit"),
+        ({"lanes": {**lanes(), "connector": ["no"] * 8}}, "column connector"),
+        ({"lanes": {**lanes(), "light": [2] * 8}}, "column light"),
+    ],
+    ids=str,
+)
+def test_a_wrong_table_is_named(changed, said):
+    given = {"ego": ego(), "agents": agents(), "lanes": lanes(), **changed}
+    with pytest.raises(ValueError, match=said) as caught:
+        planagent.Scenario.of_tables(**given)
+    assert isinstance(caught.value, planagent.PlanAgentError)
+
+
+def test_one_lane_is_a_route_and_a_clock_may_be_that_of_a_computer():
+    later = {name: {**table, "time_s": table["time_s"] + 1.7e9} for name, table in (("ego", ego()), ("agents", agents()))}
+    scenario = planagent.Scenario.of_tables(lanes=lanes(), route="right", **later)
+    assert scenario.iterations == 80

@@ -264,3 +264,25 @@ def test_a_stress_of_the_pool_ends():
     script = Path(__file__).with_name("stress.py")
     done = subprocess.run([sys.executable, "-W", "ignore", script, "20"], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr[-8000:]
+
+
+@pytest.mark.parametrize(
+    "error",
+    ["ValueError('half \\udcff \\0 of a character')", "Untold()", "ValueError('x' * 10**6)", "Quit('\\udcff')", "StopIteration()"],
+)
+def test_whatever_a_planner_raises_fails_its_simulation_alone(error):
+    exit, out, err, _ = child(
+        f"""
+        import planagent
+        class Untold(Exception):
+            def __str__(self):
+                raise KeyboardInterrupt
+        class Quit(BaseException):
+            pass
+        def own(observation):
+            raise {error}
+        results = planagent.simulate({SCENES!r}, {{"own": own, "idm": "idm"}})
+        print(len(results.failures), len(results), all(failure.error and failure.traceback for failure in results.failures))
+        """
+    )
+    assert (exit, out.split()[:2]) == (0, ["4", "8"]), err

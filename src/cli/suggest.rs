@@ -13,6 +13,7 @@ use planagent_runs::worker::suite::Suite;
 use planagent_scenario::generator::{GeneratorError, types};
 use planagent_scenario::{DataRoots, ReaderError, Readers};
 use std::error::Error;
+use std::ffi::OsStr;
 use std::path::Path;
 
 /// Similarity from which a name is suggested; clap uses the same for options and commands.
@@ -129,7 +130,11 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
         let splits = Readers::new(&DataRoots::default()).splits();
         let is_split =
             Suite::named(name).is_some() || NAMES.contains(&name) || splits.contains(&name);
-        return is_split.then(|| format!("{name} is a split: --split {name}"));
+        if is_split {
+            return Some(format!("{name} is a split: --split {name}"));
+        }
+        let similar = generated(path)?;
+        return Some(similar_exists("scenario", &similar));
     }
     if let Some(MllmError::UnknownModel { name, .. }) = error.downcast_ref() {
         return is_of_ollama(name).then(|| {
@@ -145,14 +150,32 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
+/// The generated scenario that is meant by a path that ends as its name does: the name without
+/// `generated/`, or a type alone.
+fn generated(path: &Path) -> Option<String> {
+    let is_type = |word: &str| types::in_suites().any(|kind| kind.to_string() == word);
+    let mut words = path.iter().rev().filter_map(OsStr::to_str);
+    let last = words.next()?;
+    if is_type(last) {
+        return Some(format!("generated/{last}/0"));
+    }
+    let kind = words.next().filter(|kind| is_type(kind))?;
+    let seed = last.split(['.', '~']).next()?;
+    seed.parse::<u64>()
+        .is_ok()
+        .then(|| format!("generated/{kind}/{last}"))
+}
+
 /// Whether a word has the form of Ollama's names, such as `llava:7b`.
 fn is_of_ollama(name: &str) -> bool {
     let plain = |part: &str| {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         !part.is_empty() && part.chars().all(is_plain)
     };
+    // A tag of digits alone is the port of a host.
+    let is_tag = |tag: &str| plain(tag) && tag.contains(|c: char| c.is_ascii_alphabetic());
     name.split_once(':')
-        .is_some_and(|(model, tag)| plain(model) && plain(tag))
+        .is_some_and(|(model, tag)| plain(model) && is_tag(tag))
 }
 
 fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
@@ -219,8 +242,34 @@ mod tests {
     #[test]
     fn a_name_of_ollama_is_known_by_its_form() {
         assert!(is_of_ollama("llava:7b") && is_of_ollama("qwen2.5vl:3b-q8_0"));
-        for other in ["llava", "org/name:Q8_0", "a: b", ":7b", "a:b:c", "C:\\m"] {
+        for other in [
+            "llava",
+            "localhost:99999",
+            "org/name:Q8_0",
+            "a: b",
+            ":7b",
+            "a:b:c",
+            "C:\\m",
+        ] {
             assert!(!is_of_ollama(other), "{other}");
+        }
+    }
+
+    #[test]
+    fn a_generated_scenario_is_known_by_the_end_of_its_name() {
+        let meant = |word: &str| generated(Path::new(word));
+        for (word, name) in [
+            ("changing_lane/2", "generated/changing_lane/2"),
+            (
+                "/work/generatd/changing_lane/2.low_traffic",
+                "generated/changing_lane/2.low_traffic",
+            ),
+            ("changing_lane", "generated/changing_lane/0"),
+        ] {
+            assert_eq!(meant(word).as_deref(), Some(name));
+        }
+        for word in ["changing_lane/x", "changing_lane/2/3", "2", "", "file.db"] {
+            assert_eq!(meant(word), None, "{word}");
         }
     }
 

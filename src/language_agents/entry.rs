@@ -4,7 +4,7 @@ use crate::agent::LanguageAgent;
 use crate::agent_driver::{self, AgentDriver};
 use crate::dilu::{self, Dilu};
 use crate::gpt_driver::{self, GptDriver};
-use crate::memory::{Memory, MemoryError, digest};
+use crate::memory::{self, MemoryError, digest};
 use crate::oracle;
 use crate::planner::{LanguagePlanner, Source};
 use planagent_agent::planner::{
@@ -51,7 +51,7 @@ const DILU: Parts<Dilu> = Parts {
     memory: |settings| settings.language_agents.dilu.memory.as_deref(),
     make: |settings, prompts| {
         let settings = settings.language_agents.dilu.clone();
-        let memory = Memory::open(settings.memory.as_deref(), dilu::NAME);
+        let memory = memory::open(settings.memory.as_deref(), dilu::NAME);
         Ok(Dilu::new(settings, prompts, &memory.map_err(unusable)?))
     },
 };
@@ -61,7 +61,7 @@ const AGENT_DRIVER: Parts<AgentDriver> = Parts {
     memory: |settings| settings.language_agents.agent_driver.memory.as_deref(),
     make: |settings, prompts| {
         let settings = settings.language_agents.agent_driver.clone();
-        let memory = Memory::open(settings.memory.as_deref(), agent_driver::NAME);
+        let memory = memory::open(settings.memory.as_deref(), agent_driver::NAME);
         Ok(AgentDriver::new(
             settings,
             prompts,

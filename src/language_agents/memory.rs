@@ -11,6 +11,8 @@ const FORMAT: u32 = 1;
 const MAX_BYTES: u64 = 64 << 20;
 /// Most items of a memory.
 const MAX_ITEMS: usize = 100_000;
+/// Longest text of an item, bytes. A scene in words has about 2,000.
+const MAX_TEXT: usize = 64 << 10;
 
 /// A memory of one agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,6 +26,32 @@ pub struct Memory<T> {
     pub source: String,
     /// The items, in the order of the scenarios.
     pub items: Vec<T>,
+}
+
+/// What is remembered.
+pub(crate) trait Remembered: DeserializeOwned {
+    /// Its texts by the names of their fields.
+    fn texts(&self) -> [(&'static str, &str); 3];
+}
+
+impl Remembered for DiluItem {
+    fn texts(&self) -> [(&'static str, &str); 3] {
+        [
+            ("description", &self.description),
+            ("answer", &self.answer),
+            ("comment", &self.comment),
+        ]
+    }
+}
+
+impl Remembered for ExperienceItem {
+    fn texts(&self) -> [(&'static str, &str); 3] {
+        [
+            ("text", &self.text),
+            ("goal", &self.goal),
+            ("source", &self.source),
+        ]
+    }
 }
 
 /// A remembered decision of DiLu.
@@ -92,6 +120,15 @@ pub(crate) enum MemoryError {
     },
     #[error("the memory {} has {count} items, and {MAX_ITEMS} are the limit", path.display())]
     TooLarge { path: PathBuf, count: usize },
+    #[error(
+        "in the memory {}: {field} of item {item} has {bytes} bytes, and {MAX_TEXT} are the limit", path.display()
+    )]
+    TooLong {
+        path: PathBuf,
+        item: usize,
+        field: &'static str,
+        bytes: usize,
+    },
 }
 
 /// BLAKE3 of a file, hexadecimal; `None` where it cannot be read.
@@ -114,35 +151,47 @@ impl<T> Memory<T> {
     }
 }
 
-impl<T: DeserializeOwned> Memory<T> {
-    /// Reads the memory of an agent; an agent without a file has none.
-    pub(crate) fn open(file: Option<&str>, agent: &'static str) -> Result<Self, MemoryError> {
-        let Some(file) = file else {
-            return Ok(Self::new(agent, String::new(), Vec::new()));
-        };
-        let path = Path::new(file).to_owned();
-        let text = match planagent_files::read_text(&path, MAX_BYTES) {
-            Ok(text) => text,
-            Err(source) => return Err(MemoryError::Read { path, source }),
-        };
-        let memory: Self = match serde_json::from_str(&text) {
-            Ok(memory) => memory,
-            Err(source) => return Err(MemoryError::Parse { path, source }),
-        };
-        if memory.format != FORMAT || memory.agent != agent {
-            return Err(MemoryError::Other {
+/// Reads the memory of an agent; an agent without a file has none.
+pub(crate) fn open<T: Remembered>(
+    file: Option<&str>,
+    agent: &'static str,
+) -> Result<Memory<T>, MemoryError> {
+    let Some(file) = file else {
+        return Ok(Memory::new(agent, String::new(), Vec::new()));
+    };
+    let path = Path::new(file).to_owned();
+    let text = match planagent_files::read_text(&path, MAX_BYTES) {
+        Ok(text) => text,
+        Err(source) => return Err(MemoryError::Read { path, source }),
+    };
+    let memory: Memory<T> = match serde_json::from_str(&text) {
+        Ok(memory) => memory,
+        Err(source) => return Err(MemoryError::Parse { path, source }),
+    };
+    if memory.format != FORMAT || memory.agent != agent {
+        return Err(MemoryError::Other {
+            path,
+            format: memory.format,
+            agent: memory.agent,
+            expected: agent,
+        });
+    }
+    if memory.items.len() > MAX_ITEMS {
+        let count = memory.items.len();
+        return Err(MemoryError::TooLarge { path, count });
+    }
+    for (i, item) in memory.items.iter().enumerate() {
+        let long = |(_, text): &(&str, &str)| text.len() > MAX_TEXT;
+        if let Some((field, text)) = item.texts().into_iter().find(long) {
+            return Err(MemoryError::TooLong {
                 path,
-                format: memory.format,
-                agent: memory.agent,
-                expected: agent,
+                item: i + 1,
+                field,
+                bytes: text.len(),
             });
         }
-        if memory.items.len() > MAX_ITEMS {
-            let count = memory.items.len();
-            return Err(MemoryError::TooLarge { path, count });
-        }
-        Ok(memory)
     }
+    Ok(memory)
 }
 
 #[cfg(test)]
@@ -163,15 +212,22 @@ mod tests {
         let name = file.to_str().unwrap();
         let write = |text: &str| std::fs::write(&file, text).unwrap();
         write(&serde_json::to_string(&memory).unwrap());
-        assert_eq!(Memory::open(Some(name), "dilu").unwrap(), memory);
-        let error = Memory::<DiluItem>::open(Some(name), "agent-driver").unwrap_err();
+        assert_eq!(open(Some(name), "dilu").unwrap(), memory);
+        let error = open::<DiluItem>(Some(name), "agent-driver").unwrap_err();
         assert!(error.to_string().contains("for dilu"), "{error}");
         write("{\"format\": 1, \"agent\": \"dilu\"");
-        let error = Memory::<DiluItem>::open(Some(name), "dilu").unwrap_err();
+        let error = open::<DiluItem>(Some(name), "dilu").unwrap_err();
         assert!(error.to_string().contains("line 1"), "{error}");
+        let long = serde_json::to_string(&memory).unwrap();
+        write(&long.replace("a road", &"road ".repeat(MAX_TEXT)));
+        let error = open::<DiluItem>(Some(name), "dilu").unwrap_err();
+        assert!(
+            error.to_string().contains("description of item 1 has"),
+            "{error}"
+        );
         let missing = folder.path().join("nothing.json");
-        let error = Memory::<DiluItem>::open(missing.to_str(), "dilu").unwrap_err();
+        let error = open::<DiluItem>(missing.to_str(), "dilu").unwrap_err();
         assert!(error.to_string().contains("nothing.json"), "{error}");
-        assert_eq!(Memory::<DiluItem>::open(None, "dilu").unwrap().items, []);
+        assert_eq!(open::<DiluItem>(None, "dilu").unwrap().items, []);
     }
 }

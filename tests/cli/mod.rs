@@ -12,6 +12,8 @@ mod exec;
 mod help;
 #[cfg(unix)]
 mod interrupt;
+#[cfg(unix)]
+mod memory;
 mod modified;
 mod open_loop;
 mod outside_text;

@@ -205,9 +205,24 @@ fn what_is_missing_is_named_with_what_to_do() {
         "{}",
         error(&model)
     );
+    // Of towers that differ in their weight format alone, llama.cpp's first is chosen.
+    let [one, half, single] =
+        ["one.gguf", "mmproj-F16.gguf", "mmproj-F32.gguf"].map(|name| folder.path().join(name));
+    fs::rename(&one, &half).unwrap();
+    fs::rename(folder.path().join("two.gguf"), &single).unwrap();
+    assert!(open(&model).is_ok());
+    fs::rename(&half, &one).unwrap();
+    fs::remove_file(&single).unwrap();
+    let alone = folder.path().join("tower_alone");
+    fs::create_dir(&alone).unwrap();
+    fs::copy(&moved, alone.join("mmproj-F16.gguf")).unwrap();
+    assert!(
+        error(&alone).contains("no decoder, only a vision tower (mmproj-F16.gguf)"),
+        "{}",
+        error(&alone)
+    );
     // What is no model beside a single one does not matter.
     let [two, notes] = ["two.gguf", "notes.gguf"].map(|name| folder.path().join(name));
-    fs::remove_file(&two).unwrap();
     fs::write(&notes, "no model").unwrap();
     assert!(open(&model).is_ok());
     fs::remove_file(&notes).unwrap();
@@ -221,7 +236,7 @@ fn what_is_missing_is_named_with_what_to_do() {
 
     replace(&tower, "blk.0.ln1.bias", "blk.9.ln1.bias");
     assert!(
-        error(&model).contains("vision_tower.encoder.layers.0.layer_norm1.bias is missing"),
+        error(&model).contains("m.gguf: tensor v.blk.0.ln1.bias is missing"),
         "{}",
         error(&model)
     );

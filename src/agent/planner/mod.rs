@@ -41,7 +41,7 @@ pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{
     AnswerError, DEFAULT_EXEC_TIMEOUT, ExecAgent, ExecAgentsStep, ExecCommand, ExecError,
-    ExecReply, ExecRequest, ExecSession, is_exec, kept, moved,
+    ExecReply, ExecRequest, ExecSession, is_exec, kept, moved, read_reply, trajectory_of,
 };
 pub use gated::Gated;
 pub use idm::IdmPlanner;

@@ -18,9 +18,19 @@ const MAX_SPEED: f64 = 100.0;
 const MAX_TURN_DEG: f64 = 90.0;
 const TURN_S: f64 = 1.0;
 
+/// Longest time from now to a state, seconds. The tracker looks at every tenth of a second of a plan,
+/// so one of a year would never end.
+const MAX_TIME_S: f64 = 600.0;
+
 /// A plan that leaves the ego.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PlanJump {
+    /// The plan has a state in another age.
+    #[error("the plan has a state {t_s:.0} s from now, and {MAX_TIME_S} s are the limit")]
+    Far {
+        /// Time of the state from now, seconds.
+        t_s: f64,
+    },
     /// At the present time, the plan is elsewhere.
     #[error(
         "the plan is {distance_m:.1} m away from the ego now, and {MAX_GAP_M} m are the limit; its states must be the rear axle \
@@ -59,6 +69,12 @@ pub enum PlanJump {
 /// Checks that a plan starts at the ego and moves as a vehicle can.
 pub fn check_plan(plan: &Trajectory, ego: &EgoState) -> Result<(), PlanJump> {
     let seconds = |us: i64| us as f64 / MICROS_PER_SECOND;
+    for state in plan.states() {
+        let t_s = seconds(state.time_us.saturating_sub(ego.time_us));
+        if t_s.abs() > MAX_TIME_S {
+            return Err(PlanJump::Far { t_s });
+        }
+    }
     // A plan that does not cover the present is the tracker's error.
     if let Ok(now) = plan.at(ego.time_us) {
         let distance_m = now.rear_axle.distance(&ego.rear_axle);
@@ -129,6 +145,18 @@ mod tests {
                 matches!(error, PlanJump::Turn { .. }),
                 "{headings:?}: {error}"
             );
+        }
+    }
+
+    #[test]
+    fn a_plan_of_years_is_refused_before_it_is_followed() {
+        let still = Vector::new(0.0, 0.0);
+        let ego = EgoState::from_log(0, Pose::new(0.0, 0.0, 0.0), still, still);
+        for far_s in [601.0, -601.0, 1e9, 1e30] {
+            let mut states = vec![state(0.0, 0.0), state(far_s, 0.0)];
+            states.sort_by_key(|state| state.time_us);
+            let error = check_plan(&Trajectory::new(states).unwrap(), &ego).unwrap_err();
+            assert!(matches!(error, PlanJump::Far { .. }), "{error}");
         }
     }
 }

@@ -1,11 +1,12 @@
 //! `planagent memory`.
 
 use crate::args::{FillArguments, MemoryAgent, MemoryCommand};
+use crate::picture::check_output;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
+use planagent_files::write_whole;
 use planagent_lab::memory::{Filled, Training, fill_decisions, fill_experiences};
-use planagent_runs::report::check_writable;
 use planagent_runs::runner::{Config, load_model};
 use serde::Serialize;
 
@@ -29,9 +30,7 @@ pub(crate) fn run(
         bail!("--out {} is a folder; name a file", flags.out.display());
     }
     // Before the drives, whose minutes would be lost if the file could not be written.
-    if let Some(folder) = flags.out.parent().filter(|folder| folder.is_dir()) {
-        check_writable(folder)?;
-    }
+    check_output(&flags.out)?;
     let training = Training {
         seed: config.seed,
         scenarios: flags.scenarios,
@@ -66,7 +65,7 @@ fn write<T: Serialize>(
     }
     let mut text = serde_json::to_string_pretty(&filled.memory)?;
     text.push('\n');
-    planagent_files::write_within(&flags.out, text.as_bytes())
+    write_whole(&flags.out, text.as_bytes())
         .with_context(|| format!("cannot write {}", flags.out.display()))?;
     if printer.is_json() {
         printer.json(&serde_json::json!({"file": flags.out, "items": count}))?;

@@ -10,7 +10,7 @@
 
 use super::label::LabeledState;
 use image::{ImageError, ImageFormat, RgbImage};
-use planagent_files::{UNFINISHED, write_within};
+use planagent_files::{MAX_SETTINGS_BYTES, UNFINISHED, read_text, write_within};
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Cursor};
@@ -50,6 +50,8 @@ pub struct Meta {
     pub planagent: String,
 }
 
+/// Largest JSONL file of a shard that is read, bytes. One of 500 states has a megabyte.
+const MAX_SHARD_BYTES: u64 = 256 << 20;
 /// Name of the file with the settings of a dataset.
 const META: &str = "meta.json";
 
@@ -62,7 +64,7 @@ pub(super) fn is_begun(folder: &Path, meta: &impl Serialize) -> Result<bool, Sha
     let expected = text(meta)?;
     // Earlier versions left a part of the file where the disk was full.
     let is_begin = |present: &str| present != expected && expected.starts_with(present);
-    match fs::read_to_string(folder.join(META)) {
+    match read_text(&folder.join(META), MAX_SETTINGS_BYTES) {
         Ok(present) if present == expected => Ok(true),
         Ok(present) if is_begin(&present) && !has_others(folder) => Ok(false),
         Ok(_) => Err(other()),
@@ -108,7 +110,7 @@ pub(super) fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathB
 /// Number of states of a complete shard. The JSONL file is written last, so its presence shows
 /// completeness.
 pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
-    fs::read_to_string(paths(folder, split, shard).0)
+    read_text(&paths(folder, split, shard).0, MAX_SHARD_BYTES)
         .ok()
         .map(|text| text.lines().count())
 }
@@ -140,7 +142,7 @@ pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardErro
     // Folders list files in any order, and training must see the same lines in the same order.
     paths.sort();
     let texts = paths.iter().map(|path| {
-        fs::read_to_string(path).map_err(|source| ShardError::Read {
+        read_text(path, MAX_SHARD_BYTES).map_err(|source| ShardError::Read {
             path: path.clone(),
             source,
         })
@@ -217,5 +219,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join(META), "{}").unwrap();
         assert!(is_begun(folder.path(), &meta).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_device_in_the_place_of_a_file_is_not_read() {
+        let meta = json!({"format": FORMAT, "seed": 3});
+        let folder = tempfile::tempdir().unwrap();
+        for name in [META, "train-00000.jsonl"] {
+            std::os::unix::fs::symlink("/dev/zero", folder.path().join(name)).unwrap();
+        }
+        assert!(is_begun(folder.path(), &meta).is_err());
+        assert_eq!(complete(folder.path(), "train", 0), None);
+        assert!(lines(folder.path(), "train").is_err());
     }
 }

@@ -2,6 +2,7 @@
 //! network is needed: a change from the original, which embeds them by OpenAI's ada-002.
 
 use crate::memory::DiluItem;
+use std::collections::BTreeMap;
 
 /// Features of a description.
 const FEATURES: usize = 1024;
@@ -10,7 +11,39 @@ const NUMBER_STEP: f64 = 5.0;
 
 /// A memory with the features of its items.
 pub(super) struct Recall {
-    items: Vec<(Vec<f64>, DiluItem)>,
+    items: Vec<(Features, DiluItem)>,
+}
+
+/// Counts of words and of pairs of words by their hash. Most are zero, and a memory may have
+/// 100,000 items, so only the others are kept.
+struct Features {
+    /// Place and count, in the order of the places.
+    counts: Vec<(u16, u16)>,
+    /// Length of the vector of counts; 1 where it is empty.
+    length: f64,
+}
+
+impl Features {
+    /// The product of two vectors of length 1.
+    fn similarity(&self, query: &[f64]) -> f64 {
+        let counts = self.counts.iter();
+        counts
+            .filter_map(|(place, count)| {
+                Some(f64::from(*count) / self.length * query.get(usize::from(*place))?)
+            })
+            .sum()
+    }
+
+    /// All counts, of length 1.
+    fn dense(&self) -> Vec<f64> {
+        let mut values = vec![0.0; FEATURES];
+        for (place, count) in &self.counts {
+            if let Some(value) = values.get_mut(usize::from(*place)) {
+                *value = f64::from(*count) / self.length;
+            }
+        }
+        values
+    }
 }
 
 impl Recall {
@@ -25,13 +58,11 @@ impl Recall {
 
     /// The most similar items, the most similar first, the earlier of equals.
     pub(super) fn nearest(&self, description: &str, count: usize) -> Vec<&DiluItem> {
-        let query = features(description);
-        let similarity =
-            |features: &[f64]| -> f64 { features.iter().zip(&query).map(|(a, b)| a * b).sum() };
+        let query = features(description).dense();
         let mut found: Vec<(f64, &DiluItem)> = self
             .items
             .iter()
-            .map(|(features, item)| (similarity(features), item))
+            .map(|(features, item)| (features.similarity(&query), item))
             .collect();
         found.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         found
@@ -42,9 +73,8 @@ impl Recall {
     }
 }
 
-/// Counts of words and of pairs of words by their hash, of length 1. Numbers are rounded.
-fn features(text: &str) -> Vec<f64> {
-    let mut counts = vec![0.0; FEATURES];
+/// The features of a text. Numbers are rounded.
+fn features(text: &str) -> Features {
     let words: Vec<String> = text
         .split(|c: char| !(c.is_alphanumeric() || c == '.' || c == '-' || c == '_'))
         .map(|word| word.trim_end_matches('.').to_lowercase())
@@ -55,19 +85,21 @@ fn features(text: &str) -> Vec<f64> {
         })
         .collect();
     let pairs = words.windows(2).map(|pair| pair.join(" "));
+    let mut counted: BTreeMap<u16, u16> = BTreeMap::new();
     for word in words.iter().cloned().chain(pairs) {
-        let place = hash(&word) as usize % FEATURES;
-        if let Some(count) = counts.get_mut(place) {
-            *count += 1.0;
-        }
+        let count = counted.entry((hash(&word) % FEATURES as u64) as u16);
+        let count = count.or_default();
+        *count = count.saturating_add(1);
     }
-    let length = counts.iter().map(|count| count * count).sum::<f64>().sqrt();
-    if length > 0.0 {
-        for count in &mut counts {
-            *count /= length;
-        }
+    let counts: Vec<(u16, u16)> = counted.into_iter().collect();
+    let squares = counts
+        .iter()
+        .map(|(_, count)| f64::from(*count) * f64::from(*count));
+    let length = squares.sum::<f64>().sqrt();
+    Features {
+        counts,
+        length: if length > 0.0 { length } else { 1.0 },
     }
-    counts
 }
 
 /// FNV-1a, 64 bits: the same on every machine.
@@ -109,5 +141,8 @@ mod tests {
         assert!(found[2].description.contains("left"));
         assert_eq!(recall.nearest(query, 9).len(), 4);
         assert!(Recall::new(Vec::new()).nearest(query, 3).is_empty());
+        let itself = features(query);
+        assert!((itself.similarity(&itself.dense()) - 1.0).abs() < 1e-12);
+        assert!(features("").similarity(&itself.dense()).abs() < 1e-12);
     }
 }

@@ -61,6 +61,11 @@ impl ModelFiles {
         }
     }
 
+    /// The file of llama.cpp that has a tensor by llama.cpp's name; none for other files.
+    pub(crate) fn file_of_tensor(&self, tensor: &str) -> Option<&Path> {
+        self.made_from.as_ref().map(|files| files.file_of(tensor))
+    }
+
     /// Replaces each file of `names` that a folder holds by the folder's.
     pub(crate) fn prefer(&mut self, folder: &Path, names: &[&str]) -> Result<(), MllmError> {
         let Some(packed) = &mut self.packed else {

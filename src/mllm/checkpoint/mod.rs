@@ -33,7 +33,7 @@ pub use load_report::{
     LoadReport, MergedAdapter, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
 };
 pub(crate) use merged::BaseTensor;
-pub(crate) use mistaken::what_instead_of_weights;
+pub(crate) use mistaken::{what_instead, what_instead_of_weights};
 pub(crate) use neutral::Neutral;
 pub(crate) use own_keys::OwnKeys;
 pub(crate) use packed::{Held, PackedBlocks, PackedForm};
@@ -118,7 +118,12 @@ pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {
 
 /// Parses a small file. What lies there in its place is called what it is.
 pub(crate) fn parse_json(path: &Path, text: &str) -> Result<Value, MllmError> {
-    serde_json::from_str(text).map_err(|source| match mistaken::what_instead(text.as_bytes()) {
+    let instead = || {
+        let is_empty = text.trim().is_empty();
+        let empty = || "the file is empty; download the file again".to_owned();
+        what_instead(text.as_bytes()).or_else(|| is_empty.then(empty))
+    };
+    serde_json::from_str(text).map_err(|source| match instead() {
         Some(problem) => MllmError::Read {
             path: path.to_path_buf(),
             source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),

@@ -99,6 +99,16 @@ impl OwnKeys {
         }
     }
 
+    /// The file that has a tensor by llama.cpp's name.
+    pub(crate) fn file_of(&self, tensor: &str) -> &Path {
+        const OF_DECODER: [&str; 4] = ["token_embd", "blk.", "output", "rope_freqs"];
+        let is_of_decoder = OF_DECODER.iter().any(|begin| tensor.starts_with(begin));
+        match &self.tower {
+            Some(tower) if !is_of_decoder => tower,
+            _ => &self.decoder,
+        }
+    }
+
     /// The file and its key that a key of a small file was made from.
     fn find(&self, path: &Path, key: &str) -> Option<(&Path, String)> {
         let name = path.strip_prefix(&self.decoder).ok()?.to_str()?;
@@ -138,6 +148,27 @@ fn own<'a>(table: &[(&str, &'a str)], key: &str) -> Option<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_tensor_is_in_the_file_that_its_name_says() {
+        let mut files = OwnKeys {
+            architecture: "llama".into(),
+            decoder: "m/d.gguf".into(),
+            tower: Some("m/t.gguf".into()),
+        };
+        for (tensor, file) in [
+            ("token_embd.weight", "m/d.gguf"),
+            ("blk.1.attn_q.weight", "m/d.gguf"),
+            ("output_norm.weight", "m/d.gguf"),
+            ("v.blk.1.attn_q.weight", "m/t.gguf"),
+            ("mm.0.weight", "m/t.gguf"),
+            ("model.image_newline", "m/t.gguf"),
+        ] {
+            assert_eq!(files.file_of(tensor), Path::new(file), "{tensor}");
+        }
+        files.tower = None;
+        assert_eq!(files.file_of("v.blk.0.ln1.bias"), Path::new("m/d.gguf"));
+    }
 
     #[test]
     fn an_error_names_the_key_of_its_file() {

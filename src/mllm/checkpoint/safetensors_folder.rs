@@ -23,6 +23,8 @@ use std::sync::Arc;
 const WEIGHTS: &str = "model.safetensors";
 /// The index of a sharded checkpoint.
 const INDEX: &str = "model.safetensors.index.json";
+/// Most files in a hint.
+const MAX_NAMED: usize = 4;
 /// Weights as Python objects, which may run code.
 const PICKLE: &str = "pytorch_model.bin";
 const PICKLE_INDEX: &str = "pytorch_model.bin.index.json";
@@ -266,7 +268,7 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
         let hint = if folder.join(PICKLE).is_file() || folder.join(PICKLE_INDEX).is_file() {
             format!(" ({PICKLE} is not read; take a repository or revision with safetensors)")
         } else {
-            String::new()
+            other_weights(folder).map_or_else(String::new, |hint| format!(" ({hint})"))
         };
         let file = format!("{WEIGHTS} and no {INDEX}{hint}");
         return Err(MllmError::MissingFile {
@@ -299,6 +301,27 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     Ok(files)
 }
 
+/// What to do with the safetensors files of a folder that has none of the two names.
+fn other_weights(folder: &Path) -> Option<String> {
+    let names = std::fs::read_dir(folder).ok()?.flatten();
+    let mut names: Vec<String> = names
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| name.ends_with(".safetensors"))
+        .filter(|name| !name.starts_with('.') && !name.starts_with("adapter"))
+        .collect();
+    names.sort();
+    let first = names.first()?;
+    let shown = names.get(..MAX_NAMED).unwrap_or(&names).join(", ");
+    Some(match first.strip_prefix("model-") {
+        Some(part) if part.contains("-of-") && !part.ends_with("-of-00001.safetensors") => {
+            format!("{shown} are parts; download {INDEX} too, which says what is in them")
+        }
+        _ => format!(
+            "{shown} has another name; if it has all weights, under the names of transformers, call it {WEIGHTS}"
+        ),
+    })
+}
+
 /// Whether a tensor is a buffer that older checkpoints store beside the weights.
 fn is_buffer(name: &str) -> bool {
     name.ends_with("position_ids") || name.ends_with("rotary_emb.inv_freq")
@@ -322,6 +345,41 @@ mod tests {
             error.contains("a web page") && error.contains("download the file again"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn weights_under_another_name_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = || weight_files(folder.path()).unwrap_err().to_string();
+        assert!(
+            error().ends_with("no model.safetensors.index.json"),
+            "{}",
+            error()
+        );
+        for (name, told) in [
+            (
+                "adapter_model.safetensors",
+                "no model.safetensors.index.json",
+            ),
+            ("consolidated.safetensors", "call it model.safetensors"),
+            (
+                "model.fp16.safetensors",
+                "model.fp16.safetensors has another name",
+            ),
+            (
+                "model-00001-of-00001.safetensors",
+                "call it model.safetensors",
+            ),
+            (
+                "model-00001-of-00002.safetensors",
+                "download model.safetensors.index.json too",
+            ),
+        ] {
+            let file = folder.path().join(name);
+            std::fs::write(&file, "").unwrap();
+            assert!(error().contains(told), "{name}: {}", error());
+            std::fs::remove_file(&file).unwrap();
+        }
     }
 
     proptest! {

@@ -226,11 +226,11 @@ impl Weights {
         self.access = TensorAccess::Look(Vec::new());
     }
 
-    /// The errors that were collected since [`Self::only_look`].
-    pub(crate) fn problems(&self) -> &[MllmError] {
-        match &self.access {
-            TensorAccess::Look(problems) => problems,
-            _ => &[],
+    /// Takes the errors that were collected since [`Self::only_look`].
+    pub(crate) fn take_problems(&mut self) -> Vec<MllmError> {
+        match &mut self.access {
+            TensorAccess::Look(problems) => std::mem::take(problems),
+            _ => Vec::new(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! The request for one chat completion.
 
 use super::grammar::{gbnf, pattern};
+use super::reply::value;
 use crate::{
     Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request,
     Sampling, Turn,
@@ -8,11 +9,13 @@ use crate::{
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use image::{ImageFormat, RgbImage};
-use serde_json::{Map, Value, json};
+use serde_json::{Deserializer, Map, Value, json};
 use std::io::Cursor;
 
 /// The member of a JSON answer with the text.
 const ANSWER: &str = "answer";
+/// Most places in an answer where an object is looked for.
+const MAX_OBJECTS: usize = 8;
 /// Mask of the seed: every server accepts positive 32-bit integers.
 const SEED_BITS: u64 = 0x7fff_ffff;
 
@@ -147,12 +150,21 @@ pub(super) fn text(
     if settings.grammar != GrammarField::JsonSchema || *constraint == Constraint::Free {
         return content;
     }
-    let parsed: Option<Value> = serde_json::from_str(without_fence(&content)).ok();
-    let member = parsed
-        .as_ref()
-        .and_then(|value| value.get(ANSWER))
-        .and_then(Value::as_str);
-    member.map(ToString::to_string).unwrap_or(content)
+    member_of(&content).unwrap_or(content)
+}
+
+/// The text in a JSON answer, around which models like to put a fence of Markdown or words.
+fn member_of(content: &str) -> Option<String> {
+    let member = |value: &Value| value.get(ANSWER)?.as_str().map(ToString::to_string);
+    if let Ok(value) = value(without_fence(content)) {
+        return member(&value);
+    }
+    let begins = content.match_indices('{').take(MAX_OBJECTS);
+    let mut rests = begins.filter_map(|(at, _)| content.get(at..));
+    rests.find_map(|rest| {
+        let first = Deserializer::from_str(rest).into_iter().next()?.ok()?;
+        member(&first)
+    })
 }
 
 /// A text without the fence of Markdown around it, which models like around JSON.
@@ -202,7 +214,7 @@ pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
 
 #[cfg(test)]
 mod fence_tests {
-    use super::without_fence;
+    use super::{member_of, without_fence};
 
     #[test]
     fn json_is_read_inside_a_fence() {
@@ -214,5 +226,20 @@ mod fence_tests {
             assert_eq!(without_fence(text).trim(), "{\"a\": 1}", "{text:?}");
         }
         assert_eq!(without_fence("```json"), "```json");
+    }
+
+    #[test]
+    fn the_text_of_a_json_answer_is_found_among_words() {
+        for text in [
+            "{\"answer\": \"keep\"}",
+            "Here it is:\n```json\n{\"answer\": \"keep\"}\n```\nDone.",
+            "The {lane} is free. {\"answer\": \"keep\"} {\"answer\": \"left\"}",
+        ] {
+            assert_eq!(member_of(text).as_deref(), Some("keep"), "{text}");
+        }
+        assert_eq!(member_of("{\"answer\": \"a\nb\"}").as_deref(), Some("a\nb"));
+        for text in ["keep", "{\"other\": \"keep\"}", "{", "{\"answer\": 3}"] {
+            assert_eq!(member_of(text), None, "{text}");
+        }
     }
 }

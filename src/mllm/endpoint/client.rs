@@ -1,10 +1,11 @@
 //! One question to the server, with retries after transient failures.
 
 use super::ahead::Ahead;
-use super::hints::{Refusal, without_version};
+use super::hints::{Refusal, other_protocol, other_route, without_version};
 use super::image_form::{wants_text, with_text};
 use super::key::ApiKey;
 use super::models::{Offered, named, offered};
+use super::packed::unpacked;
 use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
 use super::trouble::Trouble;
 use super::waits::{Waits, asked};
@@ -191,8 +192,27 @@ impl Client {
         let listed = patiently(waits, Deadline::NONE, &Cell::new(false), &mut once)?;
         listed.map_err(|failure| MllmError::Endpoint {
             endpoint: self.list_url(),
-            failure,
+            failure: self.elsewhere(failure),
         })
+    }
+
+    /// The failure of a list, with the address at which the server may have one.
+    fn elsewhere(&self, failure: EndpointFailure) -> EndpointFailure {
+        let with = |text: String| match other_route(&self.url) {
+            Some(advice) => format!("{text}; {advice}"),
+            None => text,
+        };
+        match failure {
+            EndpointFailure::Refused {
+                status: status @ (200 | 404 | 405),
+                message,
+            } => EndpointFailure::Refused {
+                status,
+                message: with(message),
+            },
+            EndpointFailure::InvalidReply(problem) => EndpointFailure::InvalidReply(with(problem)),
+            failure => failure,
+        }
     }
 
     fn ask_once(
@@ -211,7 +231,8 @@ impl Client {
             whole,
             on_text,
         };
-        read(Ahead::new(response), listen).map_err(|failure| self.redacted(failure).into())
+        let body = unpacked(response).map_err(|failure| self.redacted(failure))?;
+        read(Ahead::new(body), listen).map_err(|failure| self.redacted(failure).into())
     }
 
     fn models_once(&self, limit: Duration) -> Result<Vec<Offered>, Failed> {
@@ -219,7 +240,8 @@ impl Client {
         let response = self.sent(self.http.get(self.list_url()).timeout(limit))?;
         let mut bytes = Vec::new();
         let invalid = |problem: String| self.redacted(EndpointFailure::InvalidReply(problem));
-        response
+        unpacked(response)
+            .map_err(|failure| self.redacted(failure))?
             .take(MAX_BYTES)
             .read_to_end(&mut bytes)
             .map_err(|error| EndpointFailure::Closed(error.to_string()))?;
@@ -246,12 +268,19 @@ impl Client {
 
     /// The failure behind an error before the response status.
     fn unsent(&self, error: &reqwest::Error) -> Failed {
+        let causes = || {
+            let text = causes(error);
+            match other_protocol(self.url.scheme(), &text) {
+                Some(advice) => format!("{text}; {advice}"),
+                None => text,
+            }
+        };
         let failure = if error.is_connect() {
-            EndpointFailure::Connect(causes(error))
+            EndpointFailure::Connect(causes())
         } else if error.is_timeout() {
             EndpointFailure::Timeout(self.timeout)
         } else {
-            EndpointFailure::Closed(causes(error))
+            EndpointFailure::Closed(causes())
         };
         self.redacted(failure).into()
     }
@@ -268,7 +297,11 @@ impl Client {
                 status: status.as_u16(),
                 message: format!("the address moved to {}", shortened(&self.hide(place))),
             },
-            None => Trouble::behind(status, response).failure(&|text| self.hide(text)),
+            None => match unpacked(response) {
+                Ok(body) => Trouble::behind(status, body),
+                Err(_) => Trouble::behind(status, std::io::empty()),
+            }
+            .failure(&|text| self.hide(text)),
         };
         Failed {
             failure: self.redacted(failure),

@@ -43,7 +43,7 @@ const PICTURES: [&str; 7] = [
     "content must be a string",
 ];
 /// Words of servers that do not have a model.
-const ABSENT: [&str; 10] = [
+const ABSENT: [&str; 19] = [
     "not found",
     "does not exist",
     "not exist",
@@ -54,6 +54,15 @@ const ABSENT: [&str; 10] = [
     "not a valid model",
     "no such model",
     "not available",
+    "no available channel",
+    "could not find",
+    "unable to access model",
+    "not supported by any provider",
+    "no endpoints found for",
+    "decommissioned",
+    "deprecated",
+    "no model specified",
+    "specify a model",
 ];
 
 /// Words about a prompt that is too long.
@@ -83,11 +92,12 @@ impl Refusal<'_> {
     /// Whether the server seems not to have the model, so that its list helps.
     pub(super) fn is_of_the_model(&self) -> bool {
         let plain = self.message.to_ascii_lowercase();
-        let named =
-            plain.contains("model") || has_word(&plain, &self.settings.model.to_ascii_lowercase());
-        matches!(self.status, 200 | 400 | 404 | 422)
-            && named
-            && ABSENT.iter().any(|words| plain.contains(words))
+        let own = has_word(&plain, &self.settings.model.to_ascii_lowercase());
+        let named = own || plain.contains("model") || plain.contains("deployment");
+        let absent = ABSENT.iter().any(|words| plain.contains(words));
+        // What is not found and named is the model.
+        matches!(self.status, 200 | 400 | 404 | 410 | 422 | 500 | 503) && named && absent
+            || self.status == 404 && own
     }
 
     /// What to do, where it is known.
@@ -107,9 +117,15 @@ impl Refusal<'_> {
         if !matches!(self.status, 200 | 400 | 413 | 415 | 422 | 500 | 501) {
             return None;
         }
+        if plain.contains("support") && has_word(&plain, "stream") {
+            return Some("write stream = false in the description".to_owned());
+        }
         if TOO_LONG.iter().any(|words| plain.contains(words)) {
             let text = "start the server with a larger context, or take a shorter prompt set (--prompt-set compact)";
             return Some(text.to_owned());
+        }
+        if self.status == 413 {
+            return Some("write a smaller image_size in the description".to_owned());
         }
         if let Some((_, advice)) = ADVICE
             .iter()
@@ -175,6 +191,33 @@ pub(super) fn without_version(url: &Url) -> Option<String> {
     Some(format!(
         "the address has no version, and /v1 may be missing: try endpoint = \"{base}/v1\""
     ))
+}
+
+/// Where most servers have their list of models, if another address was asked.
+pub(super) fn other_route(url: &Url) -> Option<String> {
+    let usual = format!("{}/v1", url.origin().ascii_serialization());
+    let asked = url.as_str().strip_suffix("/chat/completions");
+    (asked != Some(usual.as_str()))
+        .then(|| format!("most servers answer at {usual}: try --model {usual}"))
+}
+
+/// What to do where a server speaks HTTP to a client of HTTPS, or the other way round.
+pub(super) fn other_protocol(scheme: &str, failure: &str) -> Option<&'static str> {
+    let plain = failure.to_ascii_lowercase();
+    let is_no_tls = [
+        "corrupt message",
+        "invalidcontenttype",
+        "wrong version number",
+    ];
+    match scheme {
+        "https" if is_no_tls.iter().any(|words| plain.contains(words)) => {
+            Some("the server may not speak HTTPS: write http:// in place of https://")
+        }
+        "http" if plain.contains("invalid http version") => {
+            Some("the server may speak HTTPS alone: write https:// in place of http://")
+        }
+        _ => None,
+    }
 }
 
 /// Whether a text has a word that is no part of a longer name.
@@ -281,6 +324,12 @@ mod tests {
                 "This model's maximum context length is 512 tokens. max_tokens is too large",
                 "a larger context",
             ),
+            (413, "Payload Too Large", "a smaller image_size"),
+            (
+                400,
+                "stream is not supported for this model",
+                "stream = false",
+            ),
             (401, "invalid key", "key_env"),
             (400, "the prompt is too long", ""),
             (400, "programmargrammars", ""),
@@ -288,6 +337,25 @@ mod tests {
             (404, "The model `Eye-7B` does not exist.", "list"),
             (400, "eye-7b is not a valid model ID", "list"),
             (400, "No models loaded. Please load a model", "list"),
+            (404, "model: eye-7b", "list"),
+            (404, "No endpoints found for Eye-7B.", "list"),
+            (
+                404,
+                "Unable to access model eye-7b. Please visit the list",
+                "list",
+            ),
+            (
+                400,
+                "The requested model 'Eye-7B' is not supported by any provider you have enabled.",
+                "list",
+            ),
+            (400, "could not find real modelID for Eye-7B", "list"),
+            (500, "Model Eye-7B not found. Available models: a", "list"),
+            (
+                404,
+                "The API deployment for this resource does not exist.",
+                "list",
+            ),
             (404, "Not Found", ""),
             (402, "pay first, also for the image", ""),
         ] {
@@ -297,6 +365,36 @@ mod tests {
                 "{message}: {advice}"
             );
         }
+    }
+
+    #[test]
+    fn another_address_and_protocol_are_named() {
+        let route = |address: &str| {
+            other_route(&Url::parse(&format!("{address}/chat/completions")).unwrap())
+        };
+        for wrong in [
+            "http://127.0.0.1:1234/docs",
+            "http://127.0.0.1:1234/api/v0",
+            "http://127.0.0.1:1234/v1/v1",
+        ] {
+            let advice = route(wrong).unwrap();
+            assert!(
+                advice.ends_with("--model http://127.0.0.1:1234/v1"),
+                "{advice}"
+            );
+        }
+        assert_eq!(route("http://127.0.0.1:1234/v1"), None);
+        let advice = |scheme, failure| other_protocol(scheme, failure).unwrap_or_default();
+        assert!(
+            advice(
+                "https",
+                "received corrupt message of type InvalidContentType"
+            )
+            .contains("write http://")
+        );
+        assert!(advice("http", "invalid HTTP version parsed").contains("write https://"));
+        assert_eq!(advice("http", "Connection refused"), "");
+        assert_eq!(advice("https", "certificate expired"), "");
     }
 
     #[test]

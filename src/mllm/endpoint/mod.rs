@@ -9,6 +9,7 @@ mod hints;
 mod image_form;
 mod key;
 mod models;
+mod packed;
 mod probe;
 mod reply;
 mod trouble;

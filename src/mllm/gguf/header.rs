@@ -112,8 +112,16 @@ impl Reader<'_> {
             let _ = (&mut *self.source)
                 .take(MAX_NAME)
                 .read_to_end(&mut beginning);
-            let instead = what_instead_of_weights(&beginning);
-            return Err(self.error(instead.unwrap_or_else(|| "it does not begin with GGUF".into())));
+            // The header of a safetensors file follows its length of eight bytes.
+            let is_safetensors = beginning.get(8..10) == Some(b"{\"");
+            let instead = what_instead_of_weights(&beginning).unwrap_or_else(|| {
+                if is_safetensors {
+                    "this is a safetensors file: its name must end in .safetensors, in a folder with its config.json".into()
+                } else {
+                    "it does not begin with GGUF".into()
+                }
+            });
+            return Err(self.error(instead));
         }
         let version = self.u32()?;
         if !VERSIONS.contains(&version) {
@@ -349,7 +357,8 @@ impl Reader<'_> {
             .saturating_sub(self.position);
         if count.checked_mul(least).is_none_or(|bytes| bytes > left) {
             return Err(self.error(format!(
-                "{count} {what} are announced, but only {left} bytes are left for them"
+                "{count} {what} are announced, but only {left} bytes are left for them; if the download was cut off, \
+                 repeat it"
             )));
         }
         Ok(count)

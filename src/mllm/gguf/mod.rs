@@ -126,9 +126,8 @@ pub(crate) fn tower_for(
 
 /// The error of a decoder that needs a tower and has none.
 pub(crate) fn no_tower(decoder: &Header, mark: &str) -> MllmError {
-    let folder = decoder.path.parent().unwrap_or(Path::new(""));
     MllmError::MissingFile {
-        folder: folder.to_path_buf(),
+        folder: folder_of(&decoder.path).to_path_buf(),
         file: format!(
             "vision tower (a GGUF file of architecture clip, 'mmproj') for {}, which is part of a vision model by {mark}; put it \
              beside the decoder, or name it under mmproj in the model's description; `vision = false` there opens the decoder \
@@ -136,6 +135,13 @@ pub(crate) fn no_tower(decoder: &Header, mark: &str) -> MllmError {
             file_name(&decoder.path)
         ),
     }
+}
+
+/// The folder of a file; that of the process for a name alone.
+fn folder_of(file: &Path) -> &Path {
+    file.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 /// The name of a file; empty for a path that ends in none.
@@ -147,6 +153,16 @@ fn file_name(path: &Path) -> Cow<'_, str> {
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
     let (models, unreadable) = files_of(folder, |architecture| architecture != TOWER)?;
     match models.as_slice() {
+        [] if unreadable.is_empty() => match files_of(folder, |_| true)?.0.first() {
+            Some(tower) if !folder.join("config.json").is_file() => Err(MllmError::MissingFile {
+                folder: folder.to_path_buf(),
+                file: format!(
+                    "decoder, only a vision tower ({}); put the GGUF file of the language model beside it",
+                    file_name(tower)
+                ),
+            }),
+            _ => Ok(None),
+        },
         [] => all_of(folder, unreadable).map_or(Ok(None), Err),
         [model] => Ok(Some(model.clone())),
         several => Err(several_files(folder, "models", several, "name one of them")),
@@ -168,10 +184,7 @@ pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
     if named.is_file() {
         return Ok(Some(named));
     }
-    let folder = model
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
+    let folder = folder_of(model);
     let (towers, unreadable) = files_of(folder, |architecture| architecture == TOWER)?;
     let is_named_so = |path: &Path| {
         let name = file_name(path);
@@ -185,6 +198,9 @@ pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
         }
         [tower] => Ok(Some(tower.clone())),
         several => {
+            if let Some(best) = best_of_one(several) {
+                return Ok(Some(best.to_path_buf()));
+            }
             let hint = format!(
                 "rename one to {}, or name it under mmproj in the model's description",
                 named.display()
@@ -192,6 +208,36 @@ pub(crate) fn tower_beside(model: &Path) -> Result<Option<PathBuf>, MllmError> {
             Err(several_files(folder, "vision towers", several, &hint))
         }
     }
+}
+
+/// Weight formats of towers, the wanted one first, as llama.cpp prefers them.
+pub(crate) const TOWER_FORMATS: [&str; 4] = ["f16", "bf16", "f32", "q8_0"];
+
+/// Of towers that differ in their weight format alone, as repositories of quantizers have them, the
+/// one in the best of the usual formats.
+fn best_of_one(towers: &[PathBuf]) -> Option<&Path> {
+    /// A name without its format, and the place of the format in the order of preference.
+    fn split(name: &str) -> Option<(String, usize)> {
+        let parts: Vec<&str> = name.split(['-', '.']).collect();
+        let mut numbered = parts.iter().enumerate();
+        let (at, part) = numbered.find(|(_, part)| TOWER_FORMATS.contains(*part))?;
+        let place = TOWER_FORMATS.iter().position(|format| format == part)?;
+        let rest = parts.iter().enumerate().filter(|(other, _)| *other != at);
+        let rest: Vec<&str> = rest.map(|(_, part)| *part).collect();
+        Some((rest.join("-"), place))
+    }
+    let named = |tower: &PathBuf| split(&file_name(tower).to_ascii_lowercase());
+    let split: Option<Vec<(String, usize)>> = towers.iter().map(named).collect();
+    let split = split?;
+    let (first, _) = split.first()?;
+    if split.iter().any(|(rest, _)| rest != first) {
+        return None;
+    }
+    let best = split
+        .iter()
+        .zip(towers)
+        .min_by_key(|((_, place), _)| *place);
+    best.map(|(_, tower)| tower.as_path())
 }
 
 fn several_files(folder: &Path, what: &str, files: &[PathBuf], hint: &str) -> MllmError {
@@ -325,4 +371,36 @@ pub(crate) fn row_order(
         key,
         format!("the {rows} rows of {name} are no {heads} heads of whole pairs"),
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_towers_that_differ_in_their_format_one_is_taken() {
+        let best = |names: &[&str]| {
+            let towers: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
+            best_of_one(&towers).map(|best| best.to_string_lossy().into_owned())
+        };
+        for (names, expected) in [
+            (
+                &["mmproj-BF16.gguf", "mmproj-F16.gguf", "mmproj-F32.gguf"][..],
+                Some("mmproj-F16.gguf"),
+            ),
+            (
+                &["mmproj-a-Q8_0.gguf", "mmproj-a-BF16.gguf"],
+                Some("mmproj-a-BF16.gguf"),
+            ),
+            (
+                &["a.mmproj-f32.gguf", "a.mmproj-q8_0.gguf"],
+                Some("a.mmproj-f32.gguf"),
+            ),
+            (&["mmproj-a-F16.gguf", "mmproj-b-F16.gguf"], None),
+            (&["mmproj-a.gguf", "mmproj-a-F16.gguf"], None),
+            (&["one.gguf", "two.gguf"], None),
+        ] {
+            assert_eq!(best(names).as_deref(), expected, "{names:?}");
+        }
+    }
 }

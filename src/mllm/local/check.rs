@@ -154,9 +154,11 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
         .load
         .notes
         .clone_from(&checkpoint.weights.report().notes);
-    check
-        .problems
-        .extend(grouped(checkpoint.weights.problems()));
+    let problems = checkpoint.weights.take_problems().into_iter();
+    let problems: Vec<_> = problems
+        .map(|error| checkpoint.by_own_name(error))
+        .collect();
+    check.problems.extend(grouped(&problems));
     match model {
         Ok(model) => look_at_chats(model, &checkpoint.files, family, loading, check),
         Err(error) => {

@@ -5,6 +5,13 @@ use crate::{EndpointSettings, MllmError};
 
 /// The model at an address; `None` for a word that is no address. Nothing is sent yet.
 pub(super) fn server(word: &str) -> Option<Result<ModelSpec, MllmError>> {
+    // What stands around an address where it was copied from.
+    let copied = |c: char| c.is_whitespace() || "'\"<>`,;".contains(c);
+    let word = word.trim_matches(copied);
+    if let Some(problem) = other_scheme(word) {
+        let address = word.to_owned();
+        return Some(Err(MllmError::Address { address, problem }));
+    }
     let settings = EndpointSettings::of_address(word)?;
     if let Err(problem) = settings.url() {
         return Some(Err(MllmError::Address {
@@ -22,6 +29,26 @@ pub(super) fn server(word: &str) -> Option<Result<ModelSpec, MllmError>> {
         shown.clone(),
         ModelSource::Endpoint(settings),
     )))
+}
+
+/// What is wrong with the beginning of an address that is not of HTTP: another scheme, or one that
+/// is mistyped.
+fn other_scheme(word: &str) -> Option<String> {
+    let plain = word.to_ascii_lowercase();
+    let mistyped = [
+        "http:/", "https:/", "http//", "https//", "http:\\", "https:\\",
+    ];
+    let is_mistyped = || mistyped.iter().any(|begin| plain.starts_with(begin));
+    let (scheme, _) = plain.split_once("://").unwrap_or(("", ""));
+    let is_other = scheme.len() > 1 && scheme.chars().all(|c| c.is_ascii_alphanumeric());
+    match scheme {
+        "http" | "https" => None,
+        "file" => Some("write the path of a file or folder without file://".to_owned()),
+        _ if is_other || is_mistyped() => {
+            Some("the address of a server begins with http:// or https://".to_owned())
+        }
+        _ => None,
+    }
 }
 
 #[cfg(test)]
@@ -58,7 +85,26 @@ mod tests {
             registry.open(&away),
             Err(MllmError::Offline { .. })
         ));
-        for broken in ["http://", "https://key@a.example/v1", "http://a b/v1"] {
+        for copied in [
+            " http://127.0.0.1:8080/v1 ",
+            "<http://127.0.0.1:8080/v1>",
+            "http://127.0.0.1:8080/v1,",
+        ] {
+            let spec = registry.find(copied).unwrap();
+            assert_eq!(
+                spec.source.to_string(),
+                "the model at http://127.0.0.1:8080/v1",
+                "{copied}"
+            );
+        }
+        for broken in [
+            "http://",
+            "https://key@a.example/v1",
+            "http://a b/v1",
+            "ws://127.0.0.1:8080",
+            "http:/127.0.0.1:8080/v1",
+            "https//a.example/v1",
+        ] {
             assert!(
                 matches!(registry.find(broken), Err(MllmError::Address { .. })),
                 "{broken}"

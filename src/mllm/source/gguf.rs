@@ -180,6 +180,7 @@ fn small_files(
             .find(|layout| layout.opens(decoder, tower))
             .map_or_else(|| Err(unknown_pair(decoder, tower)?), Ok)?;
         texts.extend(layout.small_files(decoder, tower, notes)?);
+        check_layers(decoder)?;
         notes.extend(tokenizer::note(decoder)?);
         for header in [Some(decoder), tower].into_iter().flatten() {
             unread_keys::check(header, notes)?;
@@ -195,6 +196,25 @@ fn small_files(
     }
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
     Ok(files)
+}
+
+/// Checks that a decoder has no more layers than it says: the model would be another one without a
+/// word.
+fn check_layers(decoder: &Header) -> Result<(), MllmError> {
+    let key = format!("{}.block_count", decoder.architecture()?);
+    let count = decoder.required_count(&key)?;
+    let number = |name: &str| {
+        let (number, _) = name.strip_prefix("blk.")?.split_once('.')?;
+        number.parse::<usize>().ok()
+    };
+    let numbers = decoder.tensors.keys().filter_map(|name| number(name));
+    match numbers.max() {
+        Some(last) if last >= count => {
+            let problem = format!("is {count}, and the file has a tensor of layer {last} (from 0)");
+            Err(decoder.error(&key, problem))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The error of a decoder and a tower that no family has.

@@ -254,6 +254,22 @@ impl Checkpoint {
     /// Opens the model and takes its weights.
     pub(crate) fn open_model(&mut self) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
         (self.family.family().open)(&self.files, &mut self.weights)
-            .map_err(|error| self.files.by_own_key(error))
+            .map_err(|error| self.by_own_name(error))
+    }
+
+    /// An error by the file and the name that a key or a tensor has on the disk.
+    pub(crate) fn by_own_name(&self, error: MllmError) -> MllmError {
+        let own = |name: &str| {
+            let own = self.family.family().gguf.ok()?.gguf_name(name)?;
+            let file = self.files.file_of_tensor(&own)?.to_path_buf();
+            Some((file, own))
+        };
+        match self.files.by_own_key(error) {
+            MllmError::MissingTensor { folder, name } => {
+                let (folder, name) = own(&name).unwrap_or((folder, name));
+                MllmError::MissingTensor { folder, name }
+            }
+            error => error,
+        }
     }
 }

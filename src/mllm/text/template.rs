@@ -1,7 +1,7 @@
 //! The chat template of a model, which renders messages as the text that the model was trained on.
 
 use super::template_engine::TemplateEngine;
-use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::checkpoint::{ConfigObject, ModelFiles, what_instead};
 use crate::{MllmError, Turn};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
@@ -250,7 +250,11 @@ struct NamedTemplate {
 fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     const NAME: &str = "chat_template.jinja";
     if let Some(source) = files.text(NAME)? {
-        return Ok((files.path(NAME), source));
+        let path = files.path(NAME);
+        return match web_page_of(&source) {
+            None => Ok((path, source)),
+            Some(problem) => Err(MllmError::ChatTemplate { path, problem }),
+        };
     }
     // Newer places first; older models keep the template in the last of these.
     for file in [
@@ -278,6 +282,17 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     Err(files.missing(
         "chat_template.jinja (nor a chat_template in chat_template.json, processor_config.json or tokenizer_config.json)",
     ))
+}
+
+/// What a text is that begins as a page of the web does, which no template does.
+fn web_page_of(source: &str) -> Option<String> {
+    let beginning: String = source.trim_start().chars().take(9).collect();
+    let beginning = beginning.to_ascii_lowercase();
+    ["<!doctype", "<html", "<?xml"]
+        .iter()
+        .any(|page| beginning.starts_with(page))
+        .then(|| what_instead(source.as_bytes()))
+        .flatten()
 }
 
 /// Replaces `{% generation %}`, which marks the model's text for training, by a block without

@@ -31,10 +31,14 @@ struct Outcome {
 /// # Errors
 /// When there is none.
 pub fn last_run() -> Result<PathBuf, ReportError> {
-    last_in(Path::new(RUNS))
+    last_run_of(Path::new(RUNS))
 }
 
-fn last_in(runs: &Path) -> Result<PathBuf, ReportError> {
+/// The same of another folder.
+///
+/// # Errors
+/// As [`last_run`].
+pub fn last_run_of(runs: &Path) -> Result<PathBuf, ReportError> {
     let entries = fs::read_dir(runs).into_iter().flatten().flatten();
     let paths = entries.map(|entry| entry.path());
     let started = |path: &Path| {
@@ -91,20 +95,20 @@ mod tests {
     fn a_run_without_a_success_is_not_the_last_one() {
         let work = tempfile::tempdir().unwrap();
         let runs = work.path();
-        let error = last_in(&runs.join("none")).unwrap_err().to_string();
+        let error = last_run_of(&runs.join("none")).unwrap_err().to_string();
         assert!(error.contains("there is no run"), "{error}");
         run(runs, "0003", "2026-01-02", Some(&[false, false]));
-        let error = last_in(runs).unwrap_err().to_string();
+        let error = last_run_of(runs).unwrap_err().to_string();
         assert!(
             error.contains("every simulation failed") && error.contains("0003"),
             "{error}"
         );
         run(runs, "0001", "2026-01-01", Some(&[false, true]));
-        assert_eq!(last_in(runs).unwrap(), runs.join("0001"));
+        assert_eq!(last_run_of(runs).unwrap(), runs.join("0001"));
         // One that goes on, and one of an empty shard, have no failures.
         run(runs, "0004", "2026-01-03", None);
-        assert_eq!(last_in(runs).unwrap(), runs.join("0004"));
+        assert_eq!(last_run_of(runs).unwrap(), runs.join("0004"));
         run(runs, "0005", "2026-01-03", Some(&[]));
-        assert_eq!(last_in(runs).unwrap(), runs.join("0005"));
+        assert_eq!(last_run_of(runs).unwrap(), runs.join("0005"));
     }
 }

@@ -52,7 +52,7 @@ pub use escaped::escaped;
 pub use file_names::NoNamePart;
 pub use inputs::{AcceptedChanges, DataFile, Inputs};
 pub use judgement::{JudgedMetric, Judgement};
-pub use last_run::last_run;
+pub use last_run::{last_run, last_run_of};
 pub use layout::TRANSCRIPT;
 pub(crate) use manifest::FORMAT_VERSION;
 pub use manifest::{Manifest, PromptList, ScenarioList, ShardList};

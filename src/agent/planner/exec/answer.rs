@@ -15,8 +15,9 @@ const MAX_SHOWN: usize = 120;
 /// The values of `type` in an answer.
 const TYPES: [&str; 4] = ["ready", "trajectory", "agents", "error"];
 
-/// The message of a line; else what is wrong with the line, with the text around the place.
-pub(super) fn read(line: &[u8]) -> Result<ExecReply, String> {
+/// The message of a line of a command; else what is wrong with the line, with the text around the
+/// place.
+pub fn read(line: &[u8]) -> Result<ExecReply, String> {
     let line = line
         .strip_prefix(BYTE_ORDER_MARK)
         .unwrap_or(line)
@@ -118,14 +119,9 @@ struct Message {
 fn shape_fault(value: Value) -> String {
     let types = TYPES.join(", ");
     let Value::Object(fields) = &value else {
-        let kind = match value {
-            Value::Array(_) => "a list",
-            Value::String(_) => "a text in quotes",
-            Value::Number(_) => "a number",
-            _ => "a single word",
-        };
         return format!(
-            "{kind} and no JSON object; a message is an object with the key type ({types}): {}",
+            "{} and no JSON object; a message is an object with the key type ({types}): {}",
+            kind(&value),
             shown(&value.to_string(), 0..MAX_SHOWN)
         );
     };
@@ -154,31 +150,66 @@ fn shape_fault(value: Value) -> String {
 /// The field at fault with its path, such as `states[3].x`.
 fn field_fault<T: for<'de> Deserialize<'de>>(value: Value) -> String {
     let whole = value.clone();
-    match serde_path_to_error::deserialize::<_, T>(value) {
-        Ok(_) => "its fields cannot be read".to_owned(),
-        Err(error) => {
-            let path = error.path().to_string();
-            let is_null = error
-                .path()
-                .iter()
-                .try_fold(&whole, |value, segment| match segment {
-                    serde_path_to_error::Segment::Seq { index } => value.get(index),
-                    serde_path_to_error::Segment::Map { key } => value.get(key),
-                    _ => None,
-                })
-                .is_some_and(Value::is_null);
-            let hint = if is_null {
-                "; some programs write NaN and infinity as null"
-            } else {
-                ""
-            };
-            let place = if path == "." {
-                String::new()
-            } else {
-                format!("{path}: ")
-            };
-            format!("{place}{}{hint}", error.inner())
+    let Err(error) = serde_path_to_error::deserialize::<_, T>(value) else {
+        return "its fields cannot be read".to_owned();
+    };
+    let found = error
+        .path()
+        .iter()
+        .try_fold(&whole, |value, segment| match segment {
+            serde_path_to_error::Segment::Seq { index } => value.get(index),
+            serde_path_to_error::Segment::Map { key } => value.get(key),
+            _ => None,
+        })
+        .unwrap_or(&Value::Null);
+    let path = error.path().to_string();
+    let place = if path == "." {
+        String::new()
+    } else {
+        format!("{path}: ")
+    };
+    let problem = error.inner().to_string();
+    let near = shown(&found.to_string(), 0..MAX_AROUND);
+    match problem.split_once(", expected ") {
+        _ if found.is_null() && problem.contains("null") => format!(
+            "{place}null where {} belongs; some programs write NaN and infinity as null",
+            problem
+                .split_once(", expected ")
+                .map_or("a value", |(_, wanted)| belonging(wanted))
+        ),
+        Some((_, wanted)) => format!(
+            "{place}{} where {} belongs: {near}",
+            kind(found),
+            belonging(wanted)
+        ),
+        None => format!("{place}{problem}: {near}"),
+    }
+}
+
+/// A kind of value in words.
+fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::Object(_) => "an object",
+        Value::Array(_) => "a list",
+        Value::String(_) => "a text in quotes",
+        Value::Number(_) => "a number",
+        Value::Bool(_) | Value::Null => "a single word",
+    }
+}
+
+/// What serde expects, in words.
+fn belonging(wanted: &str) -> &str {
+    match wanted {
+        "f64" | "f32" => "a number",
+        "a sequence" => "a list",
+        "a string" => "a text",
+        "a boolean" => "true or false",
+        _ if wanted.starts_with("struct") || wanted == "a map" => {
+            "an object with the keys of docs/exec.md"
         }
+        "u64" | "u32" | "u16" | "u8" | "usize" => "a whole number from 0 on",
+        "i64" | "i32" => "a whole number",
+        _ => wanted,
     }
 }
 
@@ -271,7 +302,7 @@ mod tests {
         );
         let text = fault_of(trajectory("\"1.0\"").as_bytes());
         assert!(
-            text.contains("states[10].x") && text.contains("expected f64"),
+            text.contains("states[10].x: a text in quotes where a number belongs: \"1.0\""),
             "{text}"
         );
     }
@@ -323,14 +354,17 @@ mod tests {
             ("{\"type\": \"plan\"}", "type \"plan\""),
             ("{\"type\": 1}", "type 1"),
             ("{\"type\": \"trajectory\"}", "missing field `states`"),
-            ("{\"type\": \"trajectory\", \"states\": {}}", "states"),
+            (
+                "{\"type\": \"trajectory\", \"states\": {}}",
+                "states: an object where a list belongs: {}",
+            ),
             (
                 "{\"type\": \"trajectory\", \"states\": [{\"t\": 0}]}",
                 "states[0]: missing field `x`",
             ),
             (
                 "{\"type\": \"trajectory\", \"states\": [[0, 0, 0]]}",
-                "states[0]",
+                "states[0]: a list where an object with the keys",
             ),
             (
                 "{\"type\": \"agents\", \"objects\": [{\"track\": -1}]}",

@@ -377,7 +377,7 @@ impl ExecObject {
 }
 
 /// The trajectory of a reply, from the ego on; or what is wrong with it.
-pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
+pub fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
     // With the present state before it, a single one would make a trajectory that says neither how
     // fast the ego drives nor where it turns.
     if states.len() < MIN_STATES {
@@ -389,7 +389,7 @@ pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Traject
     let is_near = |state: &ExecState| state.t.abs() <= MAX_TIME_S;
     if let Some(place) = states.iter().position(|state| !is_near(state)) {
         return Err(format!(
-            "the time of state {place} is not within {MAX_TIME_S} s from now"
+            "the time of state {place} is not within {MAX_TIME_S} s from now; t of a state is in seconds from now"
         ));
     }
     // The clock of the scenario in place of the time from now would hold the ego where it is.

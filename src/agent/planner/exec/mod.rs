@@ -15,7 +15,8 @@ mod process;
 mod session;
 
 pub use agents::{ExecAgent, ExecAgentsStep, moved};
-pub use messages::{ExecReply, ExecRequest};
+pub use answer::read as read_reply;
+pub use messages::{ExecReply, ExecRequest, trajectory as trajectory_of};
 pub use session::{AnswerError, ExecSession};
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName, StopSwitch};

@@ -3,9 +3,10 @@
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
+/// Largest shard that is read, bytes. One of 500 samples has at most some hundred megabytes.
+const MAX_SHARD_BYTES: u64 = 8 << 30;
 /// The tensor that has one row a sample in every dataset.
 const COUNTED: &str = "target";
 
@@ -89,7 +90,7 @@ pub(super) fn serialized(samples: &[Columns]) -> Result<Vec<u8>, SafeTensorError
 
 /// The number of samples of a complete shard.
 pub(super) fn samples_in(path: &Path) -> Option<usize> {
-    let bytes = fs::read(path).ok()?;
+    let bytes = planagent_files::read(path, MAX_SHARD_BYTES).ok()?;
     let file = SafeTensors::deserialize(&bytes).ok()?;
     // A shard whose scenarios were all discarded holds nothing.
     file.tensor(COUNTED)

@@ -192,7 +192,14 @@ fn is_open(data: &str) -> bool {
 /// Name and value of a field; `None` for a line of another kind.
 fn field(line: &str) -> Option<(&str, &str)> {
     let (name, value) = line.split_once(':')?;
-    FIELDS.contains(&name).then_some((name, value.trim()))
+    let mut value = value.trim();
+    // A proxy that takes an event for its data puts a second name before it.
+    while name == "data"
+        && let Some(inner) = value.strip_prefix("data:")
+    {
+        value = inner.trim_start();
+    }
+    FIELDS.contains(&name).then_some((name, value))
 }
 
 fn incomplete(error: &std::io::Error) -> EndpointFailure {
@@ -266,6 +273,10 @@ mod tests {
             (
                 "empty data",
                 "data:\n\ndata: {\"a\":1}\n\ndata: \n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
+            (
+                "the field twice",
+                "data: data: {\"a\":1}\n\ndata: data:{\"b\":2}\n\ndata: data: [DONE]\n\n",
             ),
             (
                 "JSON without a field",

@@ -63,6 +63,8 @@ impl Ending {
             choice.get("finish_reason"),
             choice.pointer("/finish_details/type"),
             choice.get("stop_reason"),
+            choice.get("done_reason"),
+            choice.get("finishReason"),
         ];
         named
             .into_iter()

@@ -1,8 +1,9 @@
 //! The answer so far, from a body in one piece or from the events of a stream.
 
 use super::finish::Ending;
-use super::marks::bare;
-use super::message::Said;
+use super::lenient::{readable, value};
+use super::marks::{bare, settled};
+use super::message::{Said, is_message};
 use super::thinking::{Found, after_end, answer};
 use super::usage::counts;
 use super::{Listen, Reply, shortened};
@@ -29,6 +30,8 @@ pub(super) struct Gathered {
     chosen: bool,
     /// Whether a tool was called.
     called: bool,
+    /// The first event that is no JSON, such as a word that keeps the connection open.
+    odd: Option<String>,
 }
 
 impl Gathered {
@@ -53,9 +56,18 @@ impl Gathered {
         event: &str,
         listen: &mut Listen<'_>,
     ) -> Result<(), EndpointFailure> {
-        let value: Value =
-            serde_json::from_str(event).map_err(|error| no_json(event, &error, listen))?;
-        self.add(&value, listen)
+        match value(event) {
+            Ok(value) => self.add(&value, listen),
+            // Of broken JSON a part of the answer may be lost.
+            Err(error) if event.starts_with(['{', '[']) => Err(EndpointFailure::InvalidReply(
+                no_json(event, &error, listen),
+            )),
+            Err(error) => {
+                self.odd
+                    .get_or_insert_with(|| no_json(event, &error, listen));
+                Ok(())
+            }
+        }
     }
 
     /// Adds an event of the type `error`.
@@ -75,9 +87,9 @@ impl Gathered {
         text: &str,
         mut listen: Listen<'_>,
     ) -> Result<Reply, EndpointFailure> {
-        for value in Deserializer::from_str(text).into_iter::<Value>() {
+        for value in Deserializer::from_str(&readable(text)).into_iter::<Value>() {
             match value
-                .map_err(|error| no_json(text, &error, &listen))
+                .map_err(|error| EndpointFailure::InvalidReply(no_json(text, &error, &listen)))
                 .and_then(|value| self.add(&value, &mut listen))
             {
                 Err(_) if self.is_complete() => break,
@@ -95,7 +107,14 @@ impl Gathered {
     }
 
     fn add(&mut self, part: &Value, listen: &mut Listen<'_>) -> Result<(), EndpointFailure> {
-        if let Some(trouble) = Trouble::in_reply(part) {
+        if let Value::Array(parts) = part {
+            return parts.iter().try_for_each(|part| self.add(part, listen));
+        }
+        let part = unwrapped(part);
+        let choice = choice_of(part);
+        if let Some(trouble) = Trouble::in_reply(part)
+            && !choice.is_some_and(is_whole)
+        {
             return Err(self.broken_by(trouble, listen));
         }
         if !part.is_object() {
@@ -107,20 +126,26 @@ impl Gathered {
         if let Some(tokens) = counts(part) {
             self.tokens = tokens;
         }
-        let Some(choice) = part.pointer("/choices/0") else {
-            return Ok(());
-        };
+        choice.map_or(Ok(()), |choice| self.add_choice(choice, listen))
+    }
+
+    fn add_choice(
+        &mut self,
+        choice: &Value,
+        listen: &mut Listen<'_>,
+    ) -> Result<(), EndpointFailure> {
         let said = Said::from_choice(choice).map_err(|problem| {
             EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
         })?;
-        self.chosen |= ["delta", "message", "text"]
+        self.chosen |= ["delta", "message", "messages", "text"]
             .iter()
             .any(|name| choice.get(name).is_some());
         if !said.text.is_empty() || !said.reasoning.is_empty() {
             self.first_text.get_or_insert_with(Instant::now);
         }
         // A whole message at the end of a stream repeats its pieces.
-        let repeats = choice.get("delta").is_none()
+        let repeats = is_message(choice)
+            && choice.get("done").is_none()
             && !self.content.is_empty()
             && said.text.starts_with(&self.content);
         if repeats {
@@ -133,6 +158,7 @@ impl Gathered {
         self.ending = Ending::from_choice(choice).or(self.ending.take());
         if !listen.whole
             && let Found::Answer(text) = answer(&self.content)
+            && let text = settled(text)
             && let Some(piece) = text.get(self.told..).filter(|piece| !piece.is_empty())
         {
             (listen.on_text)(piece);
@@ -155,27 +181,19 @@ impl Gathered {
                 shown(self.refusal.trim())
             )));
         }
-        let finish = match &self.ending {
-            // Some servers name tools at the end of every answer of a model that knows some.
-            Some(Ending::Tools(_)) if !self.called && !self.content.trim().is_empty() => {
-                FinishReason::EndOfSequence
-            }
-            Some(ending) => ending.reason(&shown)?,
-            // Some servers name no reason.
-            None if marked && self.has_text() => FinishReason::EndOfSequence,
-            None => {
-                return Err(EndpointFailure::Closed(
-                    "the stream ended before the answer".into(),
-                ));
-            }
-        };
-        let (text, reasoned) = match answer(&self.content) {
-            Found::Answer(text) if listen.whole => {
-                (after_end(text), text.len() < self.content.len())
-            }
-            Found::Answer(text) => (text, text.len() < self.content.len()),
+        let finish = self.finish(marked, &shown)?;
+        if self.called && self.content.trim().is_empty() {
+            Ending::Tools("tool_calls".to_owned()).reason(&shown)?;
+        }
+        let (found, reasoned) = match answer(&self.content) {
+            Found::Answer(text) | Found::Undecided(text) => (text, text.len() < self.content.len()),
             Found::Thinking => ("", true),
-            Found::Undecided => (self.content.as_str(), false),
+        };
+        // What was passed on stays the answer.
+        let text = if listen.whole {
+            after_end(found)
+        } else {
+            found
         };
         if text.trim().is_empty() && (reasoned || !self.reasoning.trim().is_empty()) {
             return Err(EndpointFailure::NoAnswer(ALL_REASONING.to_owned()));
@@ -200,6 +218,27 @@ impl Gathered {
         })
     }
 
+    /// Why the answer ended.
+    fn finish(
+        &self,
+        marked: bool,
+        shown: &dyn Fn(&str) -> String,
+    ) -> Result<FinishReason, EndpointFailure> {
+        match &self.ending {
+            // Some servers name tools at the end of every answer of a model that knows some.
+            Some(Ending::Tools(_)) if !self.called && !self.content.trim().is_empty() => {
+                Ok(FinishReason::EndOfSequence)
+            }
+            Some(ending) => ending.reason(shown),
+            // Some servers name no reason.
+            None if marked && self.has_text() => Ok(FinishReason::EndOfSequence),
+            None => Err(match &self.odd {
+                Some(odd) if !self.has_text() => EndpointFailure::InvalidReply(odd.clone()),
+                _ => EndpointFailure::Closed("the stream ended before the answer".into()),
+            }),
+        }
+    }
+
     /// The failure of a server: a refusal at the beginning, and a broken answer after it.
     fn broken_by(&self, trouble: Trouble, listen: &Listen<'_>) -> EndpointFailure {
         let failure = trouble.failure(listen.hide);
@@ -211,11 +250,40 @@ impl Gathered {
     }
 }
 
-/// The failure of a text that is no JSON.
-fn no_json(text: &str, error: &serde_json::Error, listen: &Listen<'_>) -> EndpointFailure {
+/// A completion without what a gateway wraps it into.
+fn unwrapped(part: &Value) -> &Value {
+    if part.get("choices").is_some() {
+        return part;
+    }
+    let inner = ["data", "result", "output", "response", "body"];
+    inner
+        .iter()
+        .filter_map(|name| part.get(*name))
+        .find(|inner| inner.get("choices").is_some_and(Value::is_array))
+        .unwrap_or(part)
+}
+
+/// The first choice of a completion. Ollama's own interface has its only one beside the counts.
+fn choice_of(part: &Value) -> Option<&Value> {
+    let is_own = || part.get("message").is_some_and(Value::is_object) && part.get("done").is_some();
+    match part.get("choices") {
+        Some(Value::Array(choices)) => choices.iter().find(|choice| !choice.is_null()),
+        Some(choice @ Value::Object(_)) => Some(choice),
+        _ => is_own().then_some(part),
+    }
+}
+
+/// Whether a choice is an answer and its end, which no error beside it takes away.
+fn is_whole(choice: &Value) -> bool {
+    let is_said = Said::from_choice(choice).is_ok_and(|said| !said.text.is_empty());
+    is_said && matches!(Ending::from_choice(choice), Some(Ending::Answer(_)))
+}
+
+/// What is wrong with a text that is no JSON.
+fn no_json(text: &str, error: &serde_json::Error, listen: &Listen<'_>) -> String {
     let shown = |text: &str| shortened(&(listen.hide)(text));
-    EndpointFailure::InvalidReply(match in_words(text) {
+    match in_words(text) {
         page if page != text => shown(&page),
         _ => format!("{} in '{}'", shown(&error.to_string()), shown(text)),
-    })
+    }
 }

@@ -41,11 +41,20 @@ impl Said {
     /// When its content has a form that is nobody's; the text names it.
     pub(super) fn from_choice(choice: &Value) -> Result<Self, String> {
         let mut said = Self::default();
-        let message = [choice.get("delta"), choice.get("message")]
-            .into_iter()
-            .flatten()
-            .find(|part| part.is_object());
-        if let Some(message) = message {
+        let piece = choice.get("delta").and_then(message_of);
+        let whole = ["message", "messages"]
+            .iter()
+            .filter_map(|name| choice.get(*name))
+            .find_map(message_of);
+        let spoken = |message: &&Value| is_spoken(message);
+        let message = piece
+            .filter(spoken)
+            .or(whole.filter(spoken))
+            .or(piece)
+            .or(whole);
+        if let Some(text) = message.and_then(Value::as_str) {
+            said.text.push_str(text);
+        } else if let Some(message) = message {
             said.add(message.get("content").unwrap_or(&Value::Null))?;
             if said.reasoning.is_empty() {
                 let fields = REASONING.iter().filter_map(|name| message.get(name));
@@ -101,6 +110,33 @@ impl Said {
             self.refusal
                 .push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
+    }
+}
+
+/// Whether a choice has a message so far, and no piece of one.
+pub(super) fn is_message(choice: &Value) -> bool {
+    let piece = choice.get("delta").and_then(message_of);
+    let mut named = ["message", "messages"].iter();
+    !piece.is_some_and(is_spoken)
+        && named.any(|name| choice.get(*name).and_then(message_of).is_some())
+}
+
+/// A message: an object, its text alone, or the last of a list.
+fn message_of(message: &Value) -> Option<&Value> {
+    match message {
+        Value::Object(_) | Value::String(_) => Some(message),
+        Value::Array(messages) => messages.iter().rev().find(|message| message.is_object()),
+        _ => None,
+    }
+}
+
+/// Whether a message has a content.
+fn is_spoken(message: &Value) -> bool {
+    match message.get("content").unwrap_or(message) {
+        Value::String(text) => !text.is_empty(),
+        Value::Array(parts) => !parts.is_empty(),
+        Value::Null => false,
+        _ => message.get("content").is_some(),
     }
 }
 
@@ -163,6 +199,20 @@ mod tests {
             (
                 "a piece before the whole",
                 json!({"delta": {"content": "keep left"}, "message": {"content": "so far"}}),
+            ),
+            (
+                "a whole beside an empty piece",
+                json!({"delta": {"role": "assistant", "content": ""}, "message": {"content": "keep left"}}),
+            ),
+            ("a message that is a text", json!({"message": "keep left"})),
+            ("a piece that is a text", json!({"delta": "keep left"})),
+            (
+                "a piece in a list",
+                json!({"delta": [{"content": "keep left"}]}),
+            ),
+            (
+                "a list of messages",
+                json!({"messages": [{"role": "user", "content": "x"}, {"role": "assistant", "content": "keep left"}]}),
             ),
             (
                 "parts",

@@ -4,6 +4,7 @@
 mod events;
 mod finish;
 mod gathered;
+mod lenient;
 mod marks;
 mod message;
 mod thinking;
@@ -12,6 +13,7 @@ mod usage;
 use crate::{EndpointFailure, FinishReason, TokenCounts};
 use events::{Events, Line};
 use gathered::Gathered;
+pub(super) use lenient::value;
 use std::io::{BufReader, Read};
 use std::time::Instant;
 

@@ -96,6 +96,37 @@ fn a_complete_answer_is_kept_whatever_its_form() {
             "tools that are not called",
             r#"{"choices": [{"message": {"content": "keep", "tool_calls": []}, "finish_reason": "tool_calls"}]}"#.to_owned(),
         ),
+        (
+            "an error of code 0 beside it",
+            r#"{"choices": [{"message": {"content": "keep"}}], "error": {"code": 0, "message": ""}}"#.to_owned(),
+        ),
+        (
+            "words of success in the place of an error",
+            r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": "stop"}], "error": "success"}"#.to_owned(),
+        ),
+        (
+            "inside a gateway's data",
+            r#"{"code": 0, "message": "ok", "data": {"choices": [{"message": {"content": "keep"}}]}}"#.to_owned(),
+        ),
+        (
+            "a number that is none",
+            r#"{"choices": [{"message": {"content": "keep"}, "logprobs": -Infinity}], "usage": NaN}"#.to_owned(),
+        ),
+        ("in a list", format!("[{piece}, {end}]")),
+        (
+            "Ollama's own",
+            r#"{"message": {"content": "keep"}, "done": true, "done_reason": "stop"}"#.to_owned(),
+        ),
+        (
+            "lines of Ollama",
+            "{\"message\": {\"content\": \"k\"}, \"done\": false}\n{\"message\": {\"content\": \"eep\"}, \"done\": true}".to_owned(),
+        ),
+        ("a word that keeps the connection open", stream(&["keep-alive", piece, end, "[DONE]"])),
+        (
+            "channels",
+            r#"{"choices": [{"message": {"content": "<|channel|>analysis<|message|>Hm.<|end|><|start|>assistant<|channel|>final<|message|>keep<|return|>"}}]}"#.to_owned(),
+        ),
+        ("an empty choice before it", r#"{"choices": [null, {"message": {"content": "keep"}}]}"#.to_owned()),
         ("lines of JSON", format!("{piece}\n{end}\n")),
         ("a byte order mark", "\u{feff}{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}".to_owned()),
         (
@@ -180,6 +211,8 @@ fn pieces_are_passed_on_without_reasoning() {
         pieces(&["<th", "ink>Hm", ".</think>", "\n\nke", "ep"], false),
         ["ke", "ep"]
     );
+    assert_eq!(pieces(&["ke", "ep<|im_", "end|>"], false), ["ke", "ep"]);
+    assert_eq!(pieces(&["keep<", "b>"], false), ["keep", "<b>"]);
     assert_eq!(pieces(&["<", "b>"], false), ["<b>"]);
     assert_eq!(pieces(&["<"], false), ["<"]);
     assert_eq!(pieces(&["Hm.", "</think>", "keep"], true), ["keep"]);

@@ -90,7 +90,7 @@ impl Trouble {
         let kind = ["object", "type"]
             .iter()
             .any(|name| reply.get(name).and_then(Value::as_str) == Some("error"));
-        let names = ["detail", "errors", "message"];
+        let names = ["detail", "errors", "message", "msg"];
         let told = choice.is_none()
             && names
                 .iter()
@@ -206,6 +206,10 @@ fn loads(status: u16, message: &str) -> bool {
 
 fn lasts(text: &str) -> bool {
     let plain = text.to_ascii_lowercase();
+    let no_model = ["not found", "does not exist", "no available channel"];
+    if plain.contains("model") && no_model.iter().any(|words| plain.contains(words)) {
+        return true;
+    }
     LASTING.iter().any(|words| plain.contains(words))
 }
 
@@ -224,7 +228,8 @@ fn number(code: &Value) -> Option<u16> {
 fn is_said(value: &Value) -> bool {
     match value {
         Value::Null | Value::Bool(_) => false,
-        Value::Number(_) => true,
+        // Gateways write the code 0 where nothing failed.
+        Value::Number(code) => code.as_f64() != Some(0.0),
         Value::String(text) => !text.trim().is_empty(),
         Value::Array(items) => items.iter().any(is_said),
         Value::Object(fields) => fields.values().any(is_said),

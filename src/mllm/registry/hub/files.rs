@@ -3,7 +3,7 @@
 use super::name::{HubName, is_gguf};
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
-use crate::gguf::named_parts;
+use crate::gguf::{TOWER_FORMATS, named_parts};
 use std::path::{Path, PathBuf};
 
 /// Names of files that a message lists.
@@ -16,8 +16,6 @@ const BESIDE_GGUF: [&str; 3] = [
     "tokenizer_config.json",
     "chat_template.jinja",
 ];
-/// Weight formats of towers, the wanted one first.
-const TOWER_FORMATS: [&str; 4] = ["f16", "bf16", "f32", "q8_0"];
 
 /// The wanted part of a repository.
 #[derive(Debug, Clone)]

@@ -93,12 +93,12 @@ function metricTitle(name) {
     ego_sorts_construction_zone: "past the construction zone", ego_sorts_stopped_vehicle: "past the stopped vehicle",
     ego_sorts_jaywalking_pedestrian: "past the pedestrian",
   };
-  return known[name] ?? spaced(name);
+  return Object.hasOwn(known, name) ? known[name] : spaced(name);
 }
 
 /** The score of a metric of a simulation. */
 function metricScore(simulation, name) {
-  return simulation[name] ?? null;
+  return Object.hasOwn(simulation, name) ? simulation[name] : null;
 }
 
 /** The values of delta-coded integers. */

@@ -95,9 +95,9 @@ function unitOf(name) {
     radians_per_second: "rad/s", radians_per_second_squared: "rad/s²", boolean: "", bool: "", count: "", float: "",
     ratio: "", seconds: "s",
   };
-  if (name in known) return known[name];
+  if (Object.hasOwn(known, name)) return known[name];
   const bracket = /\[([^\]]*)\]/.exec(name || "");
-  if (bracket) return known[bracket[1]] ?? bracket[1];
+  if (bracket) return Object.hasOwn(known, bracket[1]) ? known[bracket[1]] : bracket[1];
   return name || "";
 }
 
