@@ -116,6 +116,7 @@ pub(super) fn similar_exists(what: &str, similar: &str) -> String {
 
 /// A tip for a scenario that is named as a split, or a split that is named as a scenario.
 fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
+    // These wrap the error that knows the name, so they come first.
     if let Some(RunnerError::Scenario(error)) = error.downcast_ref() {
         return other_option(error);
     }

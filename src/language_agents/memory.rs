@@ -176,6 +176,7 @@ pub(crate) fn open<T: Remembered>(
             expected: agent,
         });
     }
+    // Items become parts of prompts, and the file may come from a stranger.
     if memory.items.len() > MAX_ITEMS {
         let count = memory.items.len();
         return Err(MemoryError::TooLarge { path, count });

@@ -3,8 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, internvl, lfm2_vl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
-    text_only,
+    MllmError, cogvlm, gemma3, internvl, lfm2_vl, llava, llava_next, llava_onevision, qwen2_5_vl,
+    qwen2_vl, qwen3_vl, smolvlm, text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -18,6 +18,9 @@ const BUILT_IN: &[&Family] = &[
     &internvl::FAMILY,
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
+    &qwen2_vl::FAMILY,
+    &llava_onevision::FAMILY,
+    &gemma3::FAMILY,
     &lfm2_vl::FAMILY,
     &text_only::LLAMA,
     &text_only::QWEN2,

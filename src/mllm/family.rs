@@ -139,6 +139,11 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
         Positions::plain(tokens.start as u32..tokens.end as u32)
     }
 
+    /// Whether the tokens of an image see one another, so that one pass must compute all of them.
+    fn image_at_once(&self) -> bool {
+        false
+    }
+
     /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
     fn context(&self, image_tokens: usize) -> usize {
         let _ = image_tokens;

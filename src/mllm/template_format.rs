@@ -9,6 +9,9 @@ use crate::text::{ChatTemplate, ChatTokenizer};
 #[derive(Debug)]
 pub(crate) struct TemplateFormat {
     template: ChatTemplate,
+    /// What the template writes for an image.
+    mark: String,
+    /// The text of a token of the image.
     placeholder: String,
     image_token: u32,
     image: ImageText,
@@ -40,10 +43,32 @@ impl TemplateFormat {
         let template = ChatTemplate::open(files, tokenizer.special(), Some(&placeholder))?;
         Ok(Self {
             template,
+            mark: placeholder.clone(),
             placeholder,
             image_token,
             image,
         })
+    }
+
+    /// Opens the template of a model that writes `mark` for an image, or its placeholder.
+    pub(crate) fn open_marked(
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+        image_token: u32,
+        mark: &str,
+        write: fn(placeholder: &str, layout: ImageLayout) -> String,
+    ) -> Result<Self, MllmError> {
+        let image = ImageText::Written(write);
+        match ChatTemplate::open(files, tokenizer.special(), Some(mark)) {
+            Ok(template) => Ok(Self {
+                template,
+                mark: mark.to_owned(),
+                placeholder: placeholder(tokenizer, image_token)?,
+                image_token,
+                image,
+            }),
+            Err(error) => Self::open(files, tokenizer, image_token, image).map_err(|_| error),
+        }
     }
 
     /// The ids of a rendered chat whose placeholder is one token for each token of the image.
@@ -79,13 +104,13 @@ impl TemplateFormat {
         rendered: &str,
         image: Option<(String, usize)>,
     ) -> Result<Vec<u32>, MllmError> {
-        let found = rendered.matches(&self.placeholder).count();
+        let found = rendered.matches(&self.mark).count();
         let expected = usize::from(image.is_some());
         if found != expected {
             return Err(MllmError::ImagePlaceholder { expected, found });
         }
         let (text, tokens) = image.unwrap_or_default();
-        let ids = tokenizer.encode_chat(&rendered.replace(&self.placeholder, &text))?;
+        let ids = tokenizer.encode_chat(&rendered.replace(&self.mark, &text))?;
         let found = ids.iter().filter(|id| **id == self.image_token).count();
         if found == tokens {
             Ok(ids)

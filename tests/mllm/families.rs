@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 9] = [
+const FAMILIES: [Tiny; 12] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -50,6 +50,18 @@ const FAMILIES: [Tiny; 9] = [
     Tiny {
         name: "tiny_qwen2_5_vl",
         architecture: "qwen2.5-vl",
+    },
+    Tiny {
+        name: "tiny_qwen2_vl",
+        architecture: "qwen2-vl",
+    },
+    Tiny {
+        name: "tiny_llava_onevision",
+        architecture: "llava-onevision",
+    },
+    Tiny {
+        name: "tiny_gemma3",
+        architecture: "gemma3",
     },
     Tiny {
         name: "tiny_lfm2_vl",
@@ -463,6 +475,11 @@ fn the_described_models_are_all_readable() {
         ("qwen3-vl-4b", "qwen3-vl"),
         ("qwen2.5-vl-3b", "qwen2.5-vl"),
         ("qwen2.5-vl-7b", "qwen2.5-vl"),
+        ("qwen2-vl-2b", "qwen2-vl"),
+        ("qwen2-vl-7b", "qwen2-vl"),
+        ("llava-onevision-0.5b", "llava-onevision"),
+        ("llava-onevision-7b", "llava-onevision"),
+        ("gemma-3-4b", "gemma3"),
         ("lfm2-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-1.6b", "lfm2-vl"),

@@ -17,6 +17,16 @@ pub enum AttentionMask {
         /// Maximum positions that a token attends to, its own included; `None` for no limit.
         window: Option<usize>,
     },
+    /// As [`Self::Causal`], and the positions of a block see one another within the window, as far
+    /// back as it reaches.
+    CausalWithBlock {
+        /// Position of the first token.
+        start: usize,
+        /// Maximum positions up to its own that a token attends to; `None` for no limit.
+        window: Option<usize>,
+        /// First position of the block, and the one behind its last.
+        block: [usize; 2],
+    },
 }
 
 impl AttentionMask {
@@ -27,6 +37,19 @@ impl AttentionMask {
             Self::Causal { start, window } => {
                 let end = start + token + 1;
                 end.saturating_sub(window.unwrap_or(end))..end
+            }
+            Self::CausalWithBlock {
+                start,
+                window,
+                block: [first, behind],
+            } => {
+                let Range { start: from, end } = Self::Causal { start, window }.seen_by(token);
+                // The token's own position is the one before `end`.
+                if (first + 1..=behind).contains(&end) {
+                    from..behind
+                } else {
+                    from..end
+                }
             }
         }
     }

@@ -100,8 +100,6 @@ fn deviations(
     causal: bool,
     window: Option<usize>,
 ) -> f32 {
-    let all = projections(positions, shape, scale, positions as u64);
-    let last = all.narrow(0, positions - tokens, tokens).unwrap();
     let mask = if causal {
         AttentionMask::Causal {
             start: positions - tokens,
@@ -110,6 +108,19 @@ fn deviations(
     } else {
         AttentionMask::All { positions }
     };
+    deviations_by(shape, tokens, positions, scale, mask)
+}
+
+/// As [`deviations`], by any mask.
+fn deviations_by(
+    shape: HeadShape,
+    tokens: usize,
+    positions: usize,
+    scale: f32,
+    mask: AttentionMask,
+) -> f32 {
+    let all = projections(positions, shape, scale, positions as u64);
+    let last = all.narrow(0, positions - tokens, tokens).unwrap();
     let mut most = 0f32;
     for precision in [Precision::Single, Precision::Half] {
         let held = held(&all, shape, precision);
@@ -120,6 +131,38 @@ fn deviations(
         }
     }
     most
+}
+
+#[test]
+fn tokens_of_a_block_see_one_another_and_no_other_token_sees_further() {
+    let mask = |window| AttentionMask::CausalWithBlock {
+        start: 10,
+        window,
+        block: [12, 15],
+    };
+    let seen = |window| [1, 2, 4, 5].map(|token| mask(window).seen_by(token));
+    assert_eq!(seen(None), [0..12, 0..15, 0..15, 0..16]);
+    assert_eq!(seen(Some(3)), [9..12, 10..15, 12..15, 13..16]);
+    let shape = HeadShape {
+        query_heads: 4,
+        key_heads: 2,
+        width: 24,
+    };
+    for (tokens, before, block, window) in [
+        (90, 30, [3, 70], None),
+        (90, 30, [3, 70], Some(20)),
+        (12, 100, [0, 12], Some(5)),
+        (250, 0, [100, 250], Some(64)),
+        (3, 40, [1, 2], None),
+    ] {
+        let mask = AttentionMask::CausalWithBlock {
+            start: before,
+            window,
+            block: block.map(|row| before + row),
+        };
+        let found = deviations_by(shape, tokens, before + tokens, 1.0, mask);
+        assert!(found < 5e-6, "{tokens} tokens, {block:?}: {found}");
+    }
 }
 
 proptest! {

@@ -14,8 +14,9 @@ pub(crate) enum DecoderType {
     Mistral,
     /// `Qwen2Config`: queries, keys and values have biases.
     Qwen2,
-    /// `Qwen2_5_VLTextConfig`: a Qwen 2 with positions on three axes.
-    #[serde(rename = "qwen2_5_vl_text")]
+    /// `Qwen2_5_VLTextConfig` and `Qwen2VLTextConfig`, which have the same keys and defaults: a Qwen
+    /// 2 with positions on three axes.
+    #[serde(rename = "qwen2_5_vl_text", alias = "qwen2_vl_text")]
     Qwen25Vl,
     /// `Qwen3Config`: queries and keys have norms.
     Qwen3,

@@ -36,10 +36,12 @@ const DECODER: [(&str, &str); 22] = [
     ("conv_L_cache", "shortconv.l_cache"),
 ];
 /// Keys of `vision_config`, and those of a tower behind `clip.vision.`.
-const TOWER: [(&str, &str); 14] = [
+const TOWER: [(&str, &str); 16] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
+    ("embed_dim", "embedding_length"),
+    ("mlp_ratio", "feed_forward_length"),
     ("depth", "block_count"),
     ("num_attention_heads", "attention.head_count"),
     ("num_heads", "attention.head_count"),
@@ -53,7 +55,8 @@ const TOWER: [(&str, &str); 14] = [
     ("deepstack_visual_indexes", "is_deepstack_layers"),
 ];
 /// Other keys of `config.json`, and those of a tower behind `clip.vision.`.
-const PROJECTOR: [(&str, &str); 4] = [
+const PROJECTOR: [(&str, &str); 5] = [
+    ("mm_tokens_per_image", "projector.scale_factor"),
     ("scale_factor", "projector.scale_factor"),
     ("downsample_ratio", "projector.scale_factor"),
     ("downsample_factor", "projector.scale_factor"),

@@ -8,8 +8,8 @@
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{
-    MllmError, cogvlm, internvl, lfm2_vl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
-    text_only,
+    MllmError, cogvlm, gemma3, internvl, lfm2_vl, llava, llava_next, llava_onevision, qwen2_5_vl,
+    qwen2_vl, qwen3_vl, smolvlm, text_only,
 };
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -65,6 +65,7 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         .iter()
         .map(|(name, value)| (name.clone(), value.to_string()));
     let files = ModelFiles::packed(Path::new("model"), texts.collect());
+    // One match: the fixture names families, and each has a reader of its own.
     match class.family.as_str() {
         "llava" => llava::read_files(&files),
         "llava-next" => llava_next::read_files(&files),
@@ -72,7 +73,10 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "smolvlm" => smolvlm::read_files(&files),
         "internvl" => internvl::read_files(&files),
         "qwen2.5-vl" => qwen2_5_vl::read_files(&files),
+        "qwen2-vl" => qwen2_vl::read_files(&files),
         "qwen3-vl" => qwen3_vl::read_files(&files),
+        "llava-onevision" => llava_onevision::read_files(&files),
+        "gemma3" => gemma3::read_files(&files),
         "lfm2-vl" => lfm2_vl::read_files(&files),
         "gemma3_text" | "lfm2" => text_only::read_files(&files),
         other => panic!("{other} is no family"),

@@ -15,6 +15,8 @@ pub(crate) struct CausalAttention {
     window: Option<usize>,
     /// Whether the layer has the rotary embedding of local layers.
     local: bool,
+    /// Whether the tokens of an image see one another.
+    image_at_once: bool,
 }
 
 impl CausalAttention {
@@ -25,6 +27,7 @@ impl CausalAttention {
             shape: config.into(),
             window: local.map_or(config.window, |gemma| Some(gemma.window)),
             local: local.is_some(),
+            image_at_once: config.gemma.is_some(),
         }
     }
 
@@ -52,9 +55,16 @@ impl CausalAttention {
         pass: &Pass,
         cache: &mut DecoderCache,
     ) -> candle_core::Result<Tensor> {
-        let mask = AttentionMask::Causal {
-            start: cache.len(),
-            window: self.window,
+        let (start, window) = (cache.len(), self.window);
+        let mask = if self.image_at_once && !pass.vision.is_empty() {
+            let block = [pass.vision.start, pass.vision.end].map(|row| start + row);
+            AttentionMask::CausalWithBlock {
+                start,
+                window,
+                block,
+            }
+        } else {
+            AttentionMask::Causal { start, window }
         };
         Projected::read(qkv, self.shape, Some(pass.rotary(self.local)), |rows| {
             attend(rows, cache.write(pass.layer, rows)?, mask)

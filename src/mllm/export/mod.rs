@@ -184,12 +184,14 @@ fn parts(
             let canonical = plan_tensors(&checkpoint.weights, &mut file, |name| {
                 Some(name.to_string())
             });
+            // A file for this program holds norms as a folder does.
+            let has_one = checkpoint.weights.norms_have_one();
             return Ok(vec![Part {
                 kind: GgufPart::Model,
                 layout: file,
                 canonical,
                 heads: None,
-                norm_offset: 0.0,
+                norm_offset: if has_one { -1.0 } else { 0.0 },
             }]);
         }
     };
@@ -301,7 +303,7 @@ fn data(
                 .take_of_any_rank(canonical, shape)?
                 .flatten_all()?
                 .to_vec1()?;
-            if norm_offset != 0.0 && canonical.ends_with("norm.weight") {
+            if norm_offset != 0.0 && has_offset(canonical) {
                 for value in &mut values {
                     *value += norm_offset;
                 }
@@ -310,6 +312,11 @@ fn data(
         }
     }
     Ok(bytes)
+}
+
+/// Whether a tensor is the weight of a norm that multiplies by 1 more. Those of a tower do not.
+fn has_offset(canonical: &str) -> bool {
+    canonical.ends_with("norm.weight") && !canonical.starts_with("vision_tower.")
 }
 
 fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, MllmError> {

@@ -115,6 +115,9 @@ fn todays_families_from_gguf_compute_what_transformers_computes() {
         ("tiny_internvl3", "original"),
         ("tiny_qwen3_vl", "."),
         ("tiny_qwen2_5_vl", "."),
+        ("tiny_qwen2_vl", "."),
+        ("tiny_llava_onevision", "."),
+        ("tiny_gemma3", "."),
     ] {
         let prompts = Prompts::from_fixture(name);
         let folder = tempfile::tempdir().unwrap();

@@ -37,8 +37,9 @@ pub(crate) fn architectures() -> impl Iterator<Item = &'static str> {
 pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
     let model_type = match model_type {
         "mistral" => "llama",
-        "qwen2_5_vl" => "qwen2_5_vl_text",
+        "qwen2_5_vl" | "qwen2_vl" | "qwen2_vl_text" => "qwen2_5_vl_text",
         "qwen3_vl" => "qwen3_vl_text",
+        "gemma3" => "gemma3_text",
         other => other,
     };
     let is_of = |(_, known): &(&str, &str)| *known == model_type;

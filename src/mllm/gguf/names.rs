@@ -1,6 +1,7 @@
 //! The names of tensors in llama.cpp's GGUF files and the canonical names of a family.
 
 use super::Header;
+use crate::MllmError;
 
 /// The names of a family's tensors: name in GGUF, canonical name.
 #[derive(Debug, Clone, Copy)]
@@ -113,6 +114,13 @@ impl Names {
             let (_, renamed) = parts.iter().find(|(known, _)| *known == part)?;
             Some(format!("{canonical}{number}.{renamed}.{kind}"))
         })
+    }
+
+    /// As [`Self::to_canonical`], also of a tower whose feed-forward layers have each other's names.
+    pub(crate) fn unswapped(self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+        let hidden = file.count("clip.vision.embedding_length")?;
+        let canonical = self.to_canonical(name);
+        Ok(canonical.map(|canonical| unswapped(file, canonical, hidden)))
     }
 
     /// The name in GGUF of a canonical tensor; none if the format has no such tensor.

@@ -1,7 +1,7 @@
 //! Families whose files of llama.cpp are read but not written: a table of names, and how the
 //! tower's metadata becomes the small files.
 
-use super::names::{Names, unswapped};
+use super::names::Names;
 use super::{Described, GgufLayout, Header, TextFiles, no_tower};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
@@ -71,9 +71,10 @@ impl GgufLayout for ReadOnlyLayout {
     }
 
     fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
-        let hidden = file.count("clip.vision.embedding_length")?;
-        let canonical = (self.renamed)(file, name)?.and_then(|name| self.names.to_canonical(&name));
-        Ok(canonical.map(|canonical| unswapped(file, canonical, hidden)))
+        match (self.renamed)(file, name)? {
+            Some(name) => self.names.unswapped(file, &name),
+            None => Ok(None),
+        }
     }
 
     fn gguf_name(&self, canonical: &str) -> Option<String> {

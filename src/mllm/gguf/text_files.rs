@@ -46,6 +46,19 @@ impl TextFiles {
         })
     }
 
+    /// The id of a special token, which is added behind all others where the file has none.
+    pub(crate) fn id_of(&mut self, decoder: &Header, token: &str) -> Result<u64, MllmError> {
+        let id = tokenizer::placeholder(&mut self.tokenizer, token).map_err(|problem| {
+            MllmError::Tokenizer {
+                path: tokenizer::place(decoder),
+                problem: problem.into(),
+            }
+        })?;
+        self.files
+            .insert(TOKENIZER.to_string(), self.tokenizer.to_string());
+        Ok(id)
+    }
+
     /// Adds a file.
     pub(crate) fn put(&mut self, name: &str, value: &Value) {
         self.files.insert(name.to_string(), value.to_string());

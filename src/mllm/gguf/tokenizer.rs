@@ -52,9 +52,16 @@ pub(crate) struct TokenizerFiles {
 /// The id of the image's placeholder in a `tokenizer.json`. A file without one gets it after all
 /// other tokens.
 pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
+    placeholder(tokenizer, IMAGE)
+}
+
+/// As [`image_token`], of a placeholder with another name.
+pub(crate) fn placeholder(tokenizer: &mut Json, name: &str) -> Result<u64, &'static str> {
     let tokens = tokenizer["added_tokens"].as_array().into_iter().flatten();
-    if let Some(known) = tokens.clone().find(|token| token["content"] == IMAGE) {
-        return known["id"].as_u64().ok_or("the token <image> has no id");
+    if let Some(known) = tokens.clone().find(|token| token["content"] == name) {
+        return known["id"]
+            .as_u64()
+            .ok_or("the token of an image has no id");
     }
     let vocabulary = tokenizer["model"]["vocab"]
         .as_object()
@@ -65,8 +72,8 @@ pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
         .filter_map(Json::as_u64);
     let next = ids.max().map_or(0, |last| last + 1);
     match tokenizer["added_tokens"].as_array_mut() {
-        Some(tokens) => tokens.push(added_token(next, IMAGE, true)),
-        None => tokenizer["added_tokens"] = json!([added_token(next, IMAGE, true)]),
+        Some(tokens) => tokens.push(added_token(next, name, true)),
+        None => tokenizer["added_tokens"] = json!([added_token(next, name, true)]),
     }
     Ok(next)
 }

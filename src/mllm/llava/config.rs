@@ -56,14 +56,19 @@ impl LlavaConfig {
 
     /// Reads a configuration; `path` is for messages.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
-        let root = ConfigObject::root(path, value)?;
-        let (vision, tower) = VisionConfig::read_tower(&root)?;
-        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?, DecoderType::Llama)?;
+        Self::read(&ConfigObject::root(path, value)?, DecoderType::Llama)
+    }
+
+    /// Reads the keys at the root of a configuration whose decoder is of the class `unnamed` where
+    /// it names none.
+    pub(crate) fn read(root: &ConfigObject<'_>, unnamed: DecoderType) -> Result<Self, MllmError> {
+        let (vision, tower) = VisionConfig::read_tower(root)?;
+        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?, unnamed)?;
         text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
-        let feature_layers = feature_layers(&root, vision.layers)?;
-        check_width(&root, FEATURE_LAYER, feature_layers.len(), vision.hidden)?;
+        let feature_layers = feature_layers(root, vision.layers)?;
+        check_width(root, FEATURE_LAYER, feature_layers.len(), vision.hidden)?;
         Ok(Self {
-            image_token: image_token(&root, text.vocabulary)?,
+            image_token: image_token(root, text.vocabulary)?,
             feature_layers,
             feature_select: root
                 .value("vision_feature_select_strategy")?

@@ -2,7 +2,7 @@
 
 use super::grid::{Resolution, TileGrids};
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles, TowerType};
+use crate::checkpoint::{ConfigObject, ModelFiles, TowerType, VisionConfig};
 use crate::llava::{FeatureSelect, LlavaConfig};
 use crate::vision::check_tiles;
 use serde_json::Value;
@@ -47,32 +47,36 @@ impl LlavaNextConfig {
                 "siglip_vision_model has no class token; a grid of tiles needs clip_vision_model";
             return Err(root.error("vision_config.model_type", problem));
         }
-        let side = llava.vision.image_size as u32;
-        let resolutions = pinpoints(&root)?;
-        for Resolution { height, width } in &resolutions {
-            // A stranger's file lists these resolutions; each decides how large a picture becomes.
-            check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
-        }
-        let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;
-        let grids = TileGrids::new(resolutions, side, patches).map_err(
-            |Resolution { height, width }| {
-                root.error(
-                    PINPOINTS,
-                    format!(
-                        "{width} x {height} pixels cannot be cut into tiles of {side} x {side}"
-                    ),
-                )
-            },
-        )?;
+        let grids = tile_grids(&root, &llava.vision)?;
         Ok(Self { llava, grids })
     }
 }
 
+/// The grids of a configuration whose tower takes one tile.
+pub(crate) fn tile_grids(
+    root: &ConfigObject<'_>,
+    vision: &VisionConfig,
+) -> Result<TileGrids, MllmError> {
+    let side = vision.image_size as u32;
+    let resolutions = pinpoints(root)?;
+    for Resolution { height, width } in &resolutions {
+        // A stranger's file lists these resolutions; each decides how large a picture becomes.
+        check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
+    }
+    let patches = (vision.image_size / vision.patch_size) as u32;
+    let uncut = |Resolution { height, width }| {
+        let problem =
+            format!("{width} x {height} pixels cannot be cut into tiles of {side} x {side}");
+        root.error(PINPOINTS, problem)
+    };
+    TileGrids::new(resolutions, side, patches).map_err(uncut)
+}
+
 /// The key of the resolutions, in both configurations.
-pub(super) const PINPOINTS: &str = "image_grid_pinpoints";
+pub(crate) const PINPOINTS: &str = "image_grid_pinpoints";
 
 /// Reads the resolutions, each a list of height and width.
-pub(super) fn pinpoints(object: &ConfigObject<'_>) -> Result<Vec<Resolution>, MllmError> {
+pub(crate) fn pinpoints(object: &ConfigObject<'_>) -> Result<Vec<Resolution>, MllmError> {
     let pairs = object
         .value::<Vec<[u32; 2]>>(PINPOINTS)?
         .unwrap_or_else(|| DEFAULT_PINPOINTS.to_vec());

@@ -24,6 +24,11 @@ impl TilePacker {
         })
     }
 
+    /// The row that ends a line, (1, decoder width).
+    pub(crate) fn newline(&self) -> &Tensor {
+        &self.newline
+    }
+
     /// Packs features (tiles · patches, decoder width) of the whole image and then of every tile to
     /// (image tokens, decoder width).
     pub(crate) fn pack(

@@ -81,6 +81,17 @@ impl TileGrids {
         }
     }
 
+    /// Patches of a tile.
+    pub(crate) fn tile_tokens(&self) -> usize {
+        (self.patches * self.patches) as usize
+    }
+
+    /// Rows of patches of the tallest grid.
+    pub(crate) fn max_rows(&self) -> usize {
+        let rows = |resolution: &Resolution| resolution.height / self.side * self.patches;
+        self.resolutions.iter().map(rows).max().unwrap_or(0) as usize
+    }
+
     /// Tokens of the largest grid without a border.
     pub(crate) fn max_tokens(&self) -> usize {
         let base = (self.patches * self.patches) as usize;

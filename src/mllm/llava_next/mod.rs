@@ -9,7 +9,10 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-pub(crate) use config::LlavaNextConfig;
+pub(crate) use config::{LlavaNextConfig, PINPOINTS, pinpoints, tile_grids};
+pub(crate) use connector::TilePacker;
+pub(crate) use grid::{Resolution, TileGrids, Tiling};
+pub(crate) use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
@@ -20,10 +23,7 @@ use super::family::{
 use super::llava::{LlavaCore, LlavaGguf, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
-use connector::TilePacker;
-use grid::{Resolution, TileGrids};
 use image::RgbImage;
-use preprocess::AnyresImageProcessor;
 
 const NAME: &str = "llava-next";
 

@@ -150,6 +150,9 @@ fn families_of_today_compute_as_little() {
         "tiny_internvl3",
         "tiny_qwen3_vl",
         "tiny_qwen2_5_vl",
+        "tiny_qwen2_vl",
+        "tiny_llava_onevision",
+        "tiny_gemma3",
         "tiny_lfm2_vl",
     ] {
         check_planning_calls(name, &fixture(name), true);

@@ -73,6 +73,12 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     };
     let deep = json!({"num_position_embeddings": 64, "deepstack_visual_indexes": [0, 2]});
     let windows = json!({"window_size": 64, "fullatt_block_indexes": [1, 3]});
+    let onevision = json!({"image_token_index": 3, "vision_config": tower("num_attention_heads", 128),
+        "text_config": text, "image_grid_pinpoints": grids, "vision_aspect_ratio": "anyres_max_1"});
+    let local = json!({"head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
+    let gemma = json!({"image_token_index": 3, "mm_tokens_per_image": 16,
+        "vision_config": tower("num_attention_heads", 128), "text_config": with(text.clone(), local)});
+    let whole = json!({"embed_dim": 192, "hidden_size": 256});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture = |width, height| {
         RgbImage::from_fn(width, height, |x, y| {
@@ -107,6 +113,22 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         (
             random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels),
             picture(130, 170),
+        ),
+        (
+            random("qwen2-vl", &axes([4, 6, 6], whole), &pixels),
+            picture(170, 130),
+        ),
+        (
+            random("llava-onevision", &onevision, &square),
+            picture(200, 90),
+        ),
+        (
+            random(
+                "gemma3",
+                &gemma,
+                &json!({"size": {"height": 128, "width": 128}}),
+            ),
+            picture(90, 70),
         ),
         (random("lfm2-vl", &convolving, &views), picture(130, 170)),
     ];

@@ -158,6 +158,37 @@ fn sizes_are_bounded_before_memory_is_taken() {
             most.clone(),
         ),
         (
+            "tiny_llava_onevision",
+            CONFIG,
+            "/vision_aspect_ratio",
+            json!("anyres_max_99999999"),
+        ),
+        (
+            "tiny_llava_onevision",
+            CONFIG,
+            "/image_grid_pinpoints",
+            json!([[16_384, 16_384]]),
+        ),
+        ("tiny_gemma3", CONFIG, "/mm_tokens_per_image", most.clone()),
+        (
+            "tiny_gemma3",
+            PROCESSOR,
+            "/size",
+            json!({"height": 65_536, "width": 65_536}),
+        ),
+        (
+            "tiny_qwen2_vl",
+            CONFIG,
+            "/vision_config/embed_dim",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen2_vl",
+            CONFIG,
+            "/vision_config/mlp_ratio",
+            json!(1e30),
+        ),
+        (
             "tiny_qwen3_vl",
             CONFIG,
             "/vision_config/num_position_embeddings",

@@ -2,23 +2,20 @@
 //! llama.cpp's files, and two real models. CONTRIBUTING.md says where the data and the weights are
 //! from, and `.ci/run long` runs these tests.
 
+use super::test_prompts::Prompts;
 use super::test_reference::{
-    Reference, assert_greedy, assert_logits, difference, fixture, greedy, logits_in_pieces,
+    Reference, assert_greedy, assert_logits, data, difference, feature_difference, fixture, greedy,
+    logits_in_pieces,
 };
 use super::{Loading, LocalModel, Sequence};
 use crate::checkpoint::read_json;
 use crate::families::Families;
+use crate::family::ImageSettings;
 use crate::source::{Checkpoint, ModelPlace};
 use candle_core::Tensor;
 use serde_json::Value;
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-
-/// The data folder: `$PLANAGENT_DATA`, else `../shared/data`.
-fn data() -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from)
-}
+use std::path::PathBuf;
 
 #[test]
 #[ignore = "needs mllm_reference/text in $PLANAGENT_DATA"]
@@ -44,6 +41,28 @@ fn tiny_language_models_are_those_of_transformers_as_folders_and_gguf() {
             }
         }
     }
+}
+
+/// Vision models of larger shapes than those of `tests/fixtures`.
+#[test]
+#[ignore = "needs mllm_reference in $PLANAGENT_DATA"]
+fn tiny_vision_models_are_those_of_transformers_as_folders_and_gguf() {
+    for family in ["qwen2_vl", "llava_onevision", "gemma3"] {
+        let prompts = Prompts::from_data(family);
+        prompts.check(&prompts.open(".", ImageSettings::default()), |_| true);
+    }
+    let prompts = Prompts::from_data("qwen2_vl");
+    let folder = prompts.gguf_with("preprocessor_config.json");
+    prompts.check(&Prompts::open_at(folder.path()), |_| true);
+    // llama.cpp's converter rounds Gemma's projection to f16.
+    let prompts = Prompts::from_data("gemma3");
+    let gguf = prompts.open_gguf(ImageSettings::default());
+    prompts.check(&gguf, |run| run == "text_");
+    let features = gguf.model.encode_image(&prompts.image(1)).unwrap();
+    let expected = prompts.reference.tensor("second_features");
+    let found = feature_difference(&features.rows, expected);
+    println!("{}: features {found:.1e}", prompts.folder.display());
+    assert!(found < 1e-3, "the features differ by {found}");
 }
 
 /// A real model, and how far its numbers may be from the reference's.

@@ -22,6 +22,15 @@ pub(crate) struct Sequence {
     cache: DecoderCache,
 }
 
+/// Tokens of the next pass. An image whose token is `whole` is not cut.
+fn pass_length(ids: &[u32], whole: Option<u32>) -> usize {
+    let length = ids.len().min(MAX_TOKENS_IN_PASS);
+    let (pass, later) = ids.split_at(length);
+    let cut = pass.last().copied().filter(|id| Some(*id) == whole);
+    let more = later.iter().take_while(|id| Some(**id) == cut);
+    length + if cut.is_some() { more.count() } else { 0 }
+}
+
 /// An empty cache for the longest chat of a model.
 pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> DecoderCache {
     model
@@ -86,8 +95,9 @@ impl Sequence {
     }
 
     /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image
-    /// token of the sequence takes the n-th row of `features`, wherever it stands. After an error
-    /// the sequence is unchanged.
+    /// token of the sequence takes the n-th row of `features`, wherever it stands. Tokens of an
+    /// image whose tokens see one another are computed once more with those that follow them. After
+    /// an error the sequence is unchanged.
     pub(crate) fn append(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -98,6 +108,10 @@ impl Sequence {
         if ids.is_empty() {
             return Ok(None);
         }
+        let begun = self.begun_image(model, ids);
+        if begun > 0 {
+            return self.append_again(model, begun, ids, features, wanted);
+        }
         let input = self.decoder_input(model, ids, features)?;
         let logits = model.decoder().forward(&input, &mut self.cache, wanted)?;
         self.ids.extend_from_slice(ids);
@@ -105,6 +119,40 @@ impl Sequence {
         self.lengths
             .extend(input.positions.iter().map(position_end).map(length));
         Ok(logits)
+    }
+
+    /// Computed tokens of an image that sees more of itself with `ids`.
+    fn begun_image(&self, model: &dyn VisionLanguageModel, ids: &[u32]) -> usize {
+        let image_token = model.info().image_token;
+        if !model.image_at_once() || ids.first() != Some(&image_token) {
+            return 0;
+        }
+        let last = self.ids.iter().rev();
+        last.take_while(|id| **id == image_token).count()
+    }
+
+    /// Computes the last `begun` tokens once more, with `ids` behind them.
+    fn append_again(
+        &mut self,
+        model: &dyn VisionLanguageModel,
+        begun: usize,
+        ids: &[u32],
+        features: Option<&ImageFeatures>,
+        wanted: Logits,
+    ) -> Result<Option<Tensor>, MllmError> {
+        let before = self.clone();
+        let kept = self.ids.len().saturating_sub(begun);
+        let image: Vec<u32> = self.ids.iter().skip(kept).copied().collect();
+        let whole = [self.cut(kept).as_slice(), &image, ids].concat();
+        let wanted = match wanted {
+            Logits::All => Logits::Tail(ids.len()),
+            other => other,
+        };
+        let appended = self.append(model, &whole, features, wanted);
+        if appended.is_err() {
+            *self = before;
+        }
+        appended
     }
 
     /// Appends tokens in as many passes as they need, checks the deadline before each, and gives
@@ -118,15 +166,18 @@ impl Sequence {
         deadline: Deadline,
     ) -> Result<Option<Tensor>, MllmError> {
         let mut logits = None;
-        let mut passes = ids.chunks(MAX_TOKENS_IN_PASS).peekable();
-        while let Some(pass) = passes.next() {
+        let whole = model.image_at_once().then_some(model.info().image_token);
+        let mut rest = ids;
+        while !rest.is_empty() {
             deadline.check()?;
-            let wanted = if passes.peek().is_none() {
+            let (pass, later) = rest.split_at(pass_length(rest, whole));
+            let wanted = if later.is_empty() {
                 wanted
             } else {
                 Logits::None
             };
             logits = self.append(model, pass, features, wanted)?;
+            rest = later;
         }
         Ok(logits)
     }
@@ -224,5 +275,22 @@ impl Sequence {
         self.ids.truncate(len);
         self.lengths.truncate(reached);
         self.ids.split_off(reached)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{MAX_TOKENS_IN_PASS, pass_length};
+
+    #[test]
+    fn a_pass_does_not_cut_an_image_that_is_seen_at_once() {
+        let mut ids = vec![1; MAX_TOKENS_IN_PASS - 2];
+        ids.extend([7; 5]);
+        ids.extend([1; 3]);
+        assert_eq!(pass_length(&ids, None), MAX_TOKENS_IN_PASS);
+        assert_eq!(pass_length(&ids, Some(1)), MAX_TOKENS_IN_PASS);
+        assert_eq!(pass_length(&ids, Some(7)), MAX_TOKENS_IN_PASS + 3);
+        assert_eq!(pass_length(&ids[..9], Some(7)), 9);
+        assert_eq!(pass_length(&[], Some(7)), 0);
     }
 }

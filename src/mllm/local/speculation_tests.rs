@@ -33,6 +33,9 @@ fn folders() -> Vec<(PathBuf, &'static str)> {
         "tiny_internvl3",
         "tiny_qwen3_vl",
         "tiny_qwen2_5_vl",
+        "tiny_qwen2_vl",
+        "tiny_llava_onevision",
+        "tiny_gemma3",
         "tiny_lfm2_vl",
     ];
     papers

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// Tiny vision models, the prefix of their decoders' tensors, the family of the decoder, and what
 /// shows it as part of a vision model.
-const MODELS: [(&str, &str, &str, &str); 4] = [
+const MODELS: [(&str, &str, &str, &str); 5] = [
     ("tiny_smolvlm", "model.text_model.", "llama", "<image>"),
     (
         "tiny_internvl3",
@@ -25,6 +25,7 @@ const MODELS: [(&str, &str, &str, &str); 4] = [
         "<IMG_CONTEXT>",
     ),
     ("tiny_qwen2_5_vl", "model.", "qwen2", "architecture qwen2vl"),
+    ("tiny_qwen2_vl", "model.", "qwen2", "architecture qwen2vl"),
     (
         "tiny_qwen3_vl",
         "model.language_model.",

@@ -10,6 +10,7 @@ macro_rules! described {
 /// Names and texts, by name.
 const DESCRIBED: &[(&str, &str)] = described![
     "cogvlm-chat-17b",
+    "gemma-3-4b",
     "internvl3-1b",
     "internvl3-2b",
     "lfm2-vl-450m",
@@ -17,11 +18,15 @@ const DESCRIBED: &[(&str, &str)] = described![
     "lfm2.5-vl-450m",
     "llava-1.5-13b",
     "llava-1.5-7b",
+    "llava-onevision-0.5b",
+    "llava-onevision-7b",
     "llava-v1.6-mistral-7b",
     "llava-v1.6-vicuna-13b",
     "llava-v1.6-vicuna-7b",
     "local-server",
     "openai",
+    "qwen2-vl-2b",
+    "qwen2-vl-7b",
     "qwen2.5-vl-3b",
     "qwen2.5-vl-7b",
     "qwen3-vl-2b",

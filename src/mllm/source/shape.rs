@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 25] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -48,6 +48,11 @@ impl ModelShape {
         shape!("qwen3-vl-4b"),
         shape!("qwen2.5-vl-3b"),
         shape!("qwen2.5-vl-7b"),
+        shape!("qwen2-vl-2b"),
+        shape!("qwen2-vl-7b"),
+        shape!("llava-onevision-0.5b"),
+        shape!("llava-onevision-7b"),
+        shape!("gemma-3-4b"),
         shape!("lfm2-vl-450m"),
         shape!("lfm2.5-vl-450m"),
         shape!("lfm2.5-vl-1.6b"),
@@ -178,6 +183,11 @@ mod tests {
             ("qwen3-vl-4b", 4.438),
             ("qwen2.5-vl-3b", 3.755),
             ("qwen2.5-vl-7b", 8.292),
+            ("qwen2-vl-2b", 2.209),
+            ("qwen2-vl-7b", 8.291),
+            ("llava-onevision-0.5b", 0.894),
+            ("llava-onevision-7b", 8.03),
+            ("gemma-3-4b", 4.297),
             ("lfm2-vl-450m", 0.450_8),
             ("lfm2.5-vl-450m", 0.448_7),
             ("lfm2.5-vl-1.6b", 1.597),

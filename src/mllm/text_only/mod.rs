@@ -35,10 +35,15 @@ pub(crate) const LLAMA: Family = Family {
     },
 };
 
-/// Qwen 2 and 2.5, and the decoder of Qwen2.5-VL without its tower.
+/// Qwen 2 and 2.5, and the decoders of Qwen2-VL and Qwen2.5-VL without their towers.
 pub(crate) const QWEN2: Family = Family {
     name: "qwen2",
-    config_names: &["qwen2", "Qwen2ForCausalLM", "qwen2_5_vl_text"],
+    config_names: &[
+        "qwen2",
+        "Qwen2ForCausalLM",
+        "qwen2_5_vl_text",
+        "qwen2_vl_text",
+    ],
     canonical_name,
     gguf: Ok(&TextGguf::of_llama(&["qwen2", "qwen2vl"])),
     missing_tokenizer: TOKENIZER,

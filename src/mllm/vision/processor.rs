@@ -14,8 +14,15 @@ use std::path::{Path, PathBuf};
 /// Default side of `CLIPImageProcessor`.
 const DEFAULT_SIDE: u32 = 224;
 
+/// Filters by their number in a configuration.
+const BILINEAR: u32 = 2;
+const BICUBIC: u32 = 3;
+
 /// The processor of `SigLIP`, which computes what CLIP's does with other defaults.
 const SIGLIP: &str = "SiglipImageProcessor";
+/// The processor of Gemma 3, which is `SigLIP`'s with another filter where it does not cut crops out
+/// of long images ("pan and scan").
+const GEMMA: &str = "Gemma3ImageProcessor";
 /// The processor of LLaVA, which is CLIP's where it does not pad.
 const LLAVA: &str = "LlavaImageProcessor";
 
@@ -44,16 +51,19 @@ impl ClipImageProcessor {
         read_processor(files, Self::read)
     }
 
-    fn read(path: &Path, object: &ConfigObject<'_>) -> Result<Self, MllmError> {
+    pub(crate) fn read(path: &Path, object: &ConfigObject<'_>) -> Result<Self, MllmError> {
         let kind: Option<String> = object.value("image_processor_type")?;
-        let (object, expected) = if kind.as_ref().is_some_and(|kind| kind.starts_with(SIGLIP)) {
+        let is = |known: &str| kind.as_ref().is_some_and(|kind| kind.starts_with(known));
+        let (object, expected) = if is(SIGLIP) || is(GEMMA) {
+            object.only_neutral(&[("do_pan_and_scan", Neutral::Flag(false))])?;
             let half = [0.5, 0.5, 0.5];
             let defaults = json!({
                 "size": {"height": DEFAULT_SIDE, "width": DEFAULT_SIDE}, "do_center_crop": false, "image_mean": half,
-                "image_std": half,
+                "image_std": half, "resample": if is(GEMMA) { BILINEAR } else { BICUBIC },
             });
-            (object.clone().with_defaults(defaults), SIGLIP)
-        } else if kind.is_some_and(|kind| kind.starts_with(LLAVA)) {
+            let known = if is(GEMMA) { GEMMA } else { SIGLIP };
+            (object.clone().with_defaults(defaults), known)
+        } else if is(LLAVA) {
             object.only_neutral(&[("do_pad", Neutral::Flag(false))])?;
             (object.clone(), LLAVA)
         } else {

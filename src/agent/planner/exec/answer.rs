@@ -171,6 +171,8 @@ fn field_fault<T: for<'de> Deserialize<'de>>(value: Value) -> String {
     let problem = error.inner().to_string();
     let near = shown(&found.to_string(), 0..MAX_AROUND);
     match problem.split_once(", expected ") {
+        // JSON has no NaN, so a null among numbers mostly was one: the user is better served by
+        // that cause.
         _ if found.is_null() && problem.contains("null") => format!(
             "{place}null where {} belongs; some programs write NaN and infinity as null",
             problem

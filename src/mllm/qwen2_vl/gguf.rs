@@ -1,0 +1,77 @@
+//! Qwen2-VL in llama.cpp's GGUF files. Its decoders have the architecture of Qwen2.5-VL's; the
+//! projector tells the families apart.
+
+use crate::MllmError;
+use crate::gguf::names::{DECODER_LAYERS, Names, VISION_LAYERS};
+use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
+use serde_json::json;
+
+const NAMES: Names = Names {
+    single: &QWEN_NAMES,
+    layers: &[DECODER_LAYERS, VISION_LAYERS],
+};
+
+/// Least and most pixels of the published processor.
+const PIXELS: [u64; 2] = [3136, 12_845_056];
+/// Side of the blocks of patches that become a token; the files do not say it.
+const MERGE: usize = 2;
+/// The first layer of the feed-forward part, in the first layer of the tower.
+const UP: &str = "v.blk.0.ffn_up.weight";
+/// The last layer of the merger.
+const OUT: &str = "mm.2.weight";
+
+/// The files of a Qwen2-VL.
+pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+    decoders: &["qwen2vl"],
+    projector: "qwen2vl_merger",
+    model_type: "qwen2_vl",
+    placeholder: IMAGE,
+    names: NAMES,
+    renamed: as_stored,
+    vision,
+    lacking: LACKING,
+};
+
+fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    tower.check_activation("quick_gelu")?;
+    let sizes = tower.vision_config()?;
+    let hidden = tower.required_count("clip.vision.embedding_length")?;
+    let merge = tower
+        .count_or_none("clip.vision.spatial_merge_size")?
+        .unwrap_or(MERGE);
+    let config = json!({
+        "vision_config": {
+            "depth": sizes["num_hidden_layers"],
+            "embed_dim": hidden,
+            "mlp_ratio": wide(tower, hidden)? as f64 / hidden.max(1) as f64,
+            "hidden_size": shape(tower, OUT)?[0],
+            "num_heads": sizes["num_attention_heads"],
+            "patch_size": sizes["patch_size"],
+            "hidden_act": "quick_gelu",
+            "spatial_merge_size": merge,
+        },
+    });
+    Ok(VisionFiles {
+        config,
+        processor: limits(tower, PIXELS, merge, notes)?,
+    })
+}
+
+/// Width of the feed-forward layers. The key of this name holds the decoder's width
+/// (`conversion/qwenvl.py` in llama.cpp), and older files have the layers' names exchanged.
+fn wide(tower: &Header, hidden: usize) -> Result<usize, MllmError> {
+    let [outputs, inputs] = shape(tower, UP)?;
+    Ok(if inputs == hidden { outputs } else { inputs })
+}
+
+/// Outputs and inputs of a matrix.
+fn shape(tower: &Header, name: &str) -> Result<[usize; 2], MllmError> {
+    let place = tower.tensors.get(name);
+    place
+        .and_then(|place| place.shape.as_slice().try_into().ok())
+        .ok_or_else(|| MllmError::MissingTensor {
+            folder: tower.path.clone(),
+            name: name.into(),
+        })
+}
