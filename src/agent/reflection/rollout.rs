@@ -123,6 +123,11 @@ impl Version {
         }
     }
 
+    /// Whether it rides as the plan itself does.
+    pub(super) fn rides_as_plan(self) -> bool {
+        !self.is_brisk
+    }
+
     /// Whether it moves along the path of the plan itself.
     pub fn is_on_own_path(self) -> bool {
         self.path == 0 && self != Self::STOP
