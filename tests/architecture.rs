@@ -563,10 +563,11 @@ fn an_invariant_says_why_it_holds() {
     );
 }
 
+/// Finds lines and names in a text, of which the second argument says which lines are code.
+type Find<'f> = dyn Fn(&str, &dyn Fn(usize) -> bool) -> Vec<(usize, String)> + 'f;
+
 /// The faults that `find` sees in the sources, each with its place.
-fn without_comment(
-    find: &dyn Fn(&str, &dyn Fn(usize) -> bool) -> Vec<(usize, String)>,
-) -> Vec<String> {
+fn without_comment(find: &Find<'_>) -> Vec<String> {
     let mut found = Vec::new();
     let is_product = |(file, _): &(String, String)| !file.contains("/tests/");
     for (file, text) in sources().into_iter().filter(is_product) {

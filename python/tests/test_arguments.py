@@ -404,7 +404,8 @@ def test_a_plan_of_years_is_refused():
 
     with pytest.raises(planagent.PlanAgentError, match="600 s are the limit"):
         planagent.Simulation(SCENE).run(years, steps=1)
-    results = planagent.simulate(SCENE, {"years": years, "idm": "idm"})
+    with pytest.warns(planagent.errors.SimulationsFailedWarning, match="1 failed"):
+        results = planagent.simulate(SCENE, {"years": years, "idm": "idm"})
     assert [failure.planner for failure in results.failures] == ["years"]
 
 

@@ -11,7 +11,7 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Commands in the texts of the program, as its sources have them, and what shows that they work.
 /// Placeholders stand in braces or capital letters.
-const ADVICE: [(&str, &str); 21] = [
+const ADVICE: [(&str, &str); 22] = [
     ("planagent {command}", "renamed"),
     ("planagent config", "config"),
     // `a_configuration_file_is_not_overwritten_and_the_command_it_names_works`.
@@ -36,6 +36,7 @@ const ADVICE: [(&str, &str); 21] = [
     ("{command}", "interrupt"),
     ("{}", "interrupt"),
     ("planagent merge", "help"),
+    ("planagent dataset --for messages", "teach"),
 ];
 
 /// Files of the program with its texts.

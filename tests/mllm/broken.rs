@@ -106,7 +106,7 @@ fn wrong_keys_of_other_families_are_named() {
         (
             "tiny_llava_next",
             "model_type",
-            json!("llava_onevision"),
+            json!("vipllava"),
             "model_type",
         ),
         (

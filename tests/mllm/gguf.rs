@@ -236,7 +236,7 @@ fn what_is_missing_is_named_with_what_to_do() {
 
     replace(&tower, "blk.0.ln1.bias", "blk.9.ln1.bias");
     assert!(
-        error(&model).contains("m.gguf: tensor v.blk.0.ln1.bias is missing"),
+        error(&model).contains("vision_tower.encoder.layers.0.layer_norm1.bias is missing"),
         "{}",
         error(&model)
     );
@@ -273,6 +273,11 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
         "someagent.file.chat_template.jinja",
     );
     assert!(open(&model).is_ok(), "the tokenizer is in ggml's keys too");
+    // What is missing has the name that the file would have for it.
+    replace(&model, "output_norm.weight", "output_form.weight");
+    let missing = "m.gguf: tensor output_norm.weight is missing";
+    assert!(error().to_string().contains(missing), "{}", error());
+    replace(&model, "output_form.weight", "output_norm.weight");
     replace(&model, "tokenizer.ggml.model", "tokenizer.some.model");
     assert!(
         error()

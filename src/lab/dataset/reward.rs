@@ -134,15 +134,15 @@ pub fn rewards(
     }
     let groups: Vec<Vec<usize>> = groups.into_values().collect();
     let judged = groups.par_iter().map(|indices| {
-        let first = indices.first().copied().unwrap_or_default();
+        let first = *indices.first().expect("a group holds an index");
         let state = questions[first].0.open().map_err(|source| RewardError {
             index: first,
             source,
         })?;
         let answers: Vec<&str> = indices.iter().map(|&i| questions[i].1.as_str()).collect();
-        Ok((indices, at_state(&state, &answers, kind)))
+        Ok::<_, RewardError>((indices, at_state(&state, &answers, kind)))
     });
-    let judged: Vec<Result<(&Vec<usize>, Vec<Reward>), RewardError>> = judged.collect();
+    let judged: Vec<_> = judged.collect();
     let mut rewards: Vec<Option<Reward>> = vec![None; questions.len()];
     for of_group in judged {
         let (indices, of_state) = of_group?;

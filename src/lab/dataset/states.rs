@@ -113,12 +113,15 @@ pub(super) fn label_scenario(
     })
 }
 
+/// What is made of a visited state, perhaps with feedback on a rejected code.
+type Make<'m, T> = dyn Fn(&VisitedState<'_>, Option<Feedback>) -> Result<T, PromptError> + 'm;
+
 /// Makes something of each state of one scenario, perhaps with feedback on a rejected code. The same
 /// settings lead to the same states, whatever is made of them.
 pub(super) fn walk<T>(
     spec: &Spec,
     settings: &Settings<'_>,
-    make: &dyn Fn(&VisitedState<'_>, Option<Feedback>) -> Result<T, PromptError>,
+    make: &Make<'_, T>,
 ) -> Result<Vec<T>, PromptError> {
     let mut random =
         Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));

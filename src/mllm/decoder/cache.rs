@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 /// Most marks of a cache, each a copy of the states at most. Beyond them, the one is forgotten
 /// whose loss costs the fewest positions.
-const MAX_MARKS: usize = 4;
+const MAX_MARKS: usize = 8;
 
 /// Most copies of a layer's state in a cache: that of the present, three that are kept by
 /// themselves, and the marks.
@@ -84,7 +84,7 @@ impl DecoderCache {
             }
         } else if len == self.len && len > 0 {
             self.note_mark(len);
-            self.each_recurrent(|state, marks| state.keep(marks));
+            self.each_recurrent(Recurrent::keep);
         }
     }
 

@@ -147,7 +147,7 @@ impl Recurrent {
         recent.truncate((len - self.recent_start) * row);
         let again = recent
             .get((from - self.recent_start) * row..)
-            .unwrap_or_default();
+            .expect("rows since the kept state are there");
         if !again.is_empty() {
             let mut out = vec![0.0; (len - from) * self.rule.out()];
             let state: &mut Vec<f32> = Arc::make_mut(&mut self.now);

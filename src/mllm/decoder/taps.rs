@@ -102,7 +102,7 @@ mod tests {
         let rows = [1.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0];
         let (mut state, mut out) = (vec![0.0; taps.state()], [0.0; 8]);
         taps.run(&mut state, &rows, &mut out);
-        assert_eq!(out, [3.5, 30.0, 2.5, 20.0, 1.5, 70.0, 0.5, 40.0]);
+        assert_eq!(out.to_vec(), [3.5, 30.0, 2.5, 20.0, 1.5, 70.0, 0.5, 40.0]);
         assert_eq!(state, [0.0, 2.0, 0.0, 0.0]);
     }
 
@@ -116,6 +116,6 @@ mod tests {
         let mut out = [0.0; 4];
         assert_eq!(taps.state(), 0);
         taps.run(&mut [], &[1.0, 2.0, 3.0, 4.0], &mut out);
-        assert_eq!(out, [2.0, 6.0, 6.0, 12.0]);
+        assert_eq!(out.to_vec(), [2.0, 6.0, 6.0, 12.0]);
     }
 }

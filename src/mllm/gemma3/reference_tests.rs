@@ -16,6 +16,9 @@ use std::ops::Range;
 
 const FIXTURE: &str = "tiny_gemma3";
 
+/// Which positions of a prompt see one another, from those that should.
+type Seen = fn(Range<usize>) -> Range<usize>;
+
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Gemma3 {
     let config = Gemma3Config::from_json(&parts.path, &parts.config).unwrap();
@@ -138,7 +141,7 @@ fn errors_that_are_easily_made_lead_far_away() {
         let model = assembled(&Parts::wrong(&prompts.folder, fault));
         run.logits(&model, &features).assert_logits_far(what);
     }
-    let seen: [(&str, fn(Range<usize>) -> Range<usize>); 2] = [
+    let seen: [(&str, Seen); 2] = [
         ("a causal mask within the image", |_| 0..0),
         ("begin and end among the image's tokens", |image| {
             image.start - 1..image.end + 1

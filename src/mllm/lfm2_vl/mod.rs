@@ -1,5 +1,5 @@
-//! LFM2-VL and LFM2.5-VL (Liquid AI, 2025 and 2026): a SigLIP2 tower for views of any size, blocks
-//! of patches merged by two layers, and an LFM2 decoder. A large picture is cut into tiles.
+//! LFM2-VL and LFM2.5-VL (Liquid AI, 2025 and 2026): a `SigLIP2` tower for views of any size,
+//! blocks of patches merged by two layers, and an LFM2 decoder. A large picture is cut into tiles.
 
 mod chat;
 mod config;

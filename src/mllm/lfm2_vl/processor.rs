@@ -164,10 +164,10 @@ impl ViewProcessor {
         [patch, downsample]: [u32; 2],
     ) -> Result<Self, MllmError> {
         let keys: Keys = object.read()?;
-        let kind = keys.image_processor_type.as_deref().unwrap_or_default();
-        if !kind.starts_with(FIRST) {
+        let kind = keys.image_processor_type.as_deref();
+        if !kind.is_some_and(|kind| kind.starts_with(FIRST)) {
             object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
-            if !kind.is_empty() && !kind.starts_with("Lfm2VlImageProcessor") {
+            if let Some(kind) = kind.filter(|kind| !kind.starts_with("Lfm2VlImageProcessor")) {
                 let problem = format!("'{kind}' is not supported; Lfm2VlImageProcessor is");
                 return Err(object.error("image_processor_type", problem));
             }

@@ -1,5 +1,5 @@
-//! The SigLIP2 tower for views of any size (NaFlex: Tschannen et al., arXiv:2502.14786), and the
-//! projector behind it.
+//! The `SigLIP2` tower for views of any size (`NaFlex`: Tschannen et al., arXiv:2502.14786), and
+//! the projector behind it.
 
 use super::config::Lfm2VlConfig;
 use crate::MllmError;

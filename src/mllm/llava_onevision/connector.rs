@@ -18,6 +18,11 @@ pub(super) struct MapPacker {
 /// The map is made smaller where its sides exceed those of the most tiles by this factor.
 const MAX_RATIO: f64 = 1.1;
 
+/// Tokens of an image in one view, which ends with a newline.
+pub(super) fn view_tokens(grids: &TileGrids) -> usize {
+    grids.tile_tokens() + 1
+}
+
 impl MapPacker {
     pub(super) fn take(
         weights: &mut Weights,
@@ -28,11 +33,6 @@ impl MapPacker {
             packer: TilePacker::take(weights, hidden)?,
             max_tiles,
         })
-    }
-
-    /// Tokens of an image in one view, which ends with a newline.
-    pub(super) fn view_tokens(&self, grids: &TileGrids) -> usize {
-        grids.tile_tokens() + 1
     }
 
     /// Tokens of a tiling: the whole image, then each row of its map with a newline.
@@ -85,7 +85,7 @@ impl MapPacker {
         // A row of the packed map ends with its newline.
         let rows: Vec<&[f32]> = map
             .chunks_exact((size[1] + 1) * width)
-            .map(|row| row.get(..size[1] * width).unwrap_or_default())
+            .map(|row| &row[..size[1] * width])
             .collect();
         let small = resized(&rows, size[1], smaller, &newline);
         let count = smaller[0] * (smaller[1] + 1);

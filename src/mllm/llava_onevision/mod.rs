@@ -106,7 +106,7 @@ impl VisionLanguageModel for LlavaOnevision {
             None => {}
             Some(1) => {
                 self.one_view = true;
-                self.info.max_image_tokens = self.packer.view_tokens(&self.config.grids);
+                self.info.max_image_tokens = connector::view_tokens(&self.config.grids);
             }
             Some(tiles) => {
                 let problem = format!(
@@ -126,7 +126,7 @@ impl VisionLanguageModel for LlavaOnevision {
         }
         let grids = &self.config.grids;
         Ok(ImageLayout::whole(if self.one_view {
-            self.packer.view_tokens(grids)
+            connector::view_tokens(grids)
         } else {
             self.packer.tokens(grids, &self.tiling(width, height))
         }))

@@ -67,7 +67,7 @@ impl OnevisionProcessor {
                 scale: PixelScale::read(&object)?,
             },
             background: mean
-                .unwrap_or_default()
+                .expect("CLIP has a mean and a deviation")
                 .map(|channel| (f64::from(channel) * 255.0) as u8),
         })
     }

@@ -86,7 +86,7 @@ fn published_images_become_as_many_tokens() {
         assert_eq!(found, tokens, "{width} x {height}");
         assert!(found <= packer.max_tokens(&config.grids));
     }
-    assert_eq!(packer.view_tokens(&config.grids), 730);
+    assert_eq!(super::connector::view_tokens(&config.grids), 730);
 }
 
 #[test]

@@ -331,8 +331,8 @@ mod tests {
             Some(100),
         );
         // Two layers with one head of keys and values of 8 numbers; four that keep three rows of 32
-        // in eight copies, and 48 of them.
-        let (keys, states) = (2 * 4 * 100 * 8 * 2, 4 * 4 * (8 * 3 * 32 + 48 * 32));
+        // in twelve copies, and 48 of them.
+        let (keys, states) = (2 * 4 * 100 * 8 * 2, 4 * 4 * (12 * 3 * 32 + 48 * 32));
         assert_eq!(need.cache, keys + states);
     }
 

@@ -46,6 +46,7 @@ const PROCESSOR: &str = "preprocessor_config.json";
 /// Sizes that would take gigabytes, or more memory than there is. None fits the weights, and none
 /// gets as far.
 #[test]
+#[allow(clippy::too_many_lines, reason = "a table of sizes")]
 fn sizes_are_bounded_before_memory_is_taken() {
     let most = json!(1_u64 << 22);
     for (model, file, pointer, value) in [

@@ -115,7 +115,7 @@ pub(crate) const LFM2: Family = Family {
     about: About {
         models: "LFM2 and LFM2.5 with a dense decoder",
         gguf: &[("lfm2", None)],
-        tested: "transformers, llama.cpp: src/mllm/local/outside_tests.rs, tests/fixtures/tiny_lfm2",
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_lfm2",
         example: "LiquidAI/LFM2-350M",
     },
 };
