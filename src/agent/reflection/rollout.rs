@@ -67,7 +67,7 @@ pub struct IdmPlan {
     paths: [Polyline; LATERAL_OFFSETS.len()],
     /// Where the first path has come onto its line.
     settled: Point,
-    /// The speed that bends allow along the paths.
+    /// The bends along the paths.
     bends: Bends,
 }
 
@@ -386,7 +386,7 @@ fn lay_paths(
     Ok(([on.path, right?.path, left?.path], on.settled))
 }
 
-/// The speeds that bends of the followed lanes allow, from the ego on.
+/// The bends of the followed lanes, from the ego on.
 fn bends(
     ride: Ride,
     scene: &SceneView<'_>,
