@@ -169,7 +169,9 @@ impl Place {
     fn replaced(&self, answer: &str) -> Option<String> {
         let is_start = |at: usize| {
             let before = answer.get(..at).and_then(|before| before.chars().last());
-            before.is_none_or(char::is_whitespace)
+            // A key of a line begins it: a reason in free text may have the same words.
+            let begins_line = self.key.ends_with(": ");
+            before.is_none_or(|c| c == '\n' || (c.is_whitespace() && !begins_line))
         };
         let ends = |c: char| c.is_whitespace() || c == ',';
         for (at, _) in answer
