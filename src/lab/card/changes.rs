@@ -234,9 +234,7 @@ impl Expected {
             Self::Slower => "a lower v0".to_owned(),
             Self::Faster => "a higher v0".to_owned(),
             Self::Yields => "a lower v0 or another centerline".to_owned(),
-            Self::FollowsOrYields => {
-                "a lower v0, another centerline, or a lead agent where none was named".to_owned()
-            }
+            Self::FollowsOrYields => "a lower v0, another centerline, or a new la".to_owned(),
             Self::Leaves(centerline) => format!("any centerline but {centerline}"),
             Self::Takes(centerlines) => {
                 let names: Vec<&str> = centerlines.iter().map(|name| name.as_str()).collect();

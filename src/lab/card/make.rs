@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 
 /// Scenes of a suite, and pairs of text twins, of a card that names no number. With nano, two idle
 /// cores make it in less than half an hour.
-pub const DEFAULT_LIMIT: usize = 56;
+pub const DEFAULT_LIMIT: usize = 140;
 /// States for each scene of a suite.
 const STATES_PER_SCENE: usize = 4;
 

@@ -18,11 +18,11 @@ const MODEL: &str = "the model";
 const CONTROLS: [&str; 4] = ["random-code", "fixed-code", "grid-code", "grid-code-four"];
 /// The model with other pictures, by the key of `environment` that says so.
 const PICTURES: [(&str, &str, bool); 2] = [
-    ("the model, another scene's picture", "shuffled_bev", true),
-    ("the model, no picture", "bev", false),
+    ("another scene's picture", "shuffled_bev", true),
+    ("no picture", "bev", false),
 ];
 /// The model whose plans come late.
-const LATE: &str = "the model, plans late by a call";
+const LATE: &str = "the model, late";
 
 /// The score of a source of codes on a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
