@@ -66,7 +66,7 @@ pub(super) struct GlobalArguments {
     #[arg(long, global = true, value_name = "KEY=VALUE", help_heading = GLOBAL)]
     pub(super) set: Vec<String>,
     /// Seed of all random numbers.
-    #[arg(long, global = true, help_heading = GLOBAL)]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true)]
     pub(super) seed: Option<u64>,
     /// Number of threads; 0 for one per core.
     #[arg(long, global = true, value_name = "N", help_heading = GLOBAL, hide_short_help = true)]
@@ -162,7 +162,7 @@ pub(super) enum Command {
     /// Reproduce the paper's tables and figures, and run further studies.
     #[command(after_long_help = help::STUDY)]
     Study(StudyArguments),
-    /// Say on one page what a model is worth as the source of planner codes.
+    /// Say on one page what a model is worth as a source of codes.
     ///
     /// Scores beside those of random, fixed and grid codes, the cost of a call, whether probable
     /// codes are good ones, whether picture and reasoning matter: as Markdown, JSON and HTML.
