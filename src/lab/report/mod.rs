@@ -22,4 +22,4 @@ pub use table::{
 pub(crate) use table::{study_markdown, twin_markdown, twin_rows};
 
 #[cfg(test)]
-use bench::DraftedCall;
+use bench::{DraftedCall, Shares};
