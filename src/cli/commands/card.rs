@@ -54,7 +54,7 @@ pub(crate) fn run(
 /// The name of a model's folder: the last part of a path or an address, without odd characters.
 fn folder_name(model: &str) -> String {
     let last = model.trim_end_matches(['/', '\\']);
-    let last = last.rsplit(['/', '\\']).next().unwrap_or_default();
+    let last = last.rsplit_once(['/', '\\']).map_or(last, |(_, last)| last);
     let safe = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
     let name: String = last
         .chars()

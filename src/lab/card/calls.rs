@@ -33,8 +33,9 @@ pub(super) fn count(
 ) -> Result<Vec<CallCounts>, ReportError> {
     let of_suite = |suite: &SuiteSimulations| match suite.variants.first().map(|one| &one.outcome) {
         Some(Outcome::Simulated { run, rows }) => {
-            let name = Path::new(run).file_name().unwrap_or_default();
-            of_run(&suite.name, rows, &runs.join(name))
+            let name = Path::new(run).file_name();
+            let folder = name.map_or_else(|| runs.to_owned(), |name| runs.join(name));
+            of_run(&suite.name, rows, &folder)
         }
         _ => Ok(CallCounts {
             suite: suite.name.clone(),

@@ -179,7 +179,7 @@ impl Place {
             .filter(|(at, _)| is_start(*at))
         {
             let (before, rest) = answer.split_at_checked(at + self.key.len())?;
-            let value = rest.split(ends).next().unwrap_or_default();
+            let value = rest.split_once(ends).map_or(rest, |(value, _)| value);
             if self.from.contains(&value) {
                 let behind = rest.strip_prefix(value)?;
                 return Some(format!("{before}{}{behind}", self.to));

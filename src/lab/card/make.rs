@@ -196,7 +196,7 @@ fn ask(
 
 /// So many pairs of text twins, evenly of each kind.
 fn some_twins(limit: usize) -> Vec<crate::dataset::twins::PairName> {
-    let pairs = twins::list(twins::TEST).unwrap_or_default();
+    let pairs = twins::list(twins::TEST).expect("the list of test pairs is built in");
     let of_kind = |kind: TwinKind| pairs.iter().copied().filter(move |pair| pair.kind == kind);
     let kinds = TwinKind::ALL.len();
     let of = TwinKind::ALL.into_iter().enumerate();
