@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bits_are_the_same_in_any_parts_and_instructions() {
+    fn the_bits_are_the_same_in_any_parts_and_at_any_thread_count() {
         let rule = rule(DeltaHeads {
             key_width: 64,
             value_width: 80,
