@@ -116,6 +116,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["memory", "realism", "twins"],
             &["report"],
             &["study_runs"],
+            &["card"],
         ],
     ),
     ("runs", &[&["worker"], &["report"], &["runner"]]),
