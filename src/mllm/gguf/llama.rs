@@ -4,6 +4,7 @@ use super::Entries;
 use super::gemma;
 use super::header::Header;
 use super::lfm2;
+use super::qwen35;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::{RopeScaling, Yarn};
@@ -13,17 +14,18 @@ use serde_json::{Value, json};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 7] = [
+const ARCHITECTURES: [(&str, &str); 8] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
-    (INTERLEAVED, "qwen3_vl_text"),
+    ("qwen3vl", "qwen3_vl_text"),
     (gemma::ARCHITECTURE, "gemma3_text"),
     (lfm2::ARCHITECTURE, "lfm2"),
+    (qwen35::ARCHITECTURE, "qwen3_5_text"),
 ];
-/// The architecture whose axes take turns in the rotary embedding; its files do not say so.
-const INTERLEAVED: &str = "qwen3vl";
+/// The architectures whose axes take turns in the rotary embedding; their files do not say so.
+const INTERLEAVED: [&str; 2] = ["qwen3vl", qwen35::ARCHITECTURE];
 
 /// The base of the rotary embedding where a file has none (`rope_freq_base_train` in llama.cpp).
 const DEFAULT_THETA: f64 = 10_000.0;
@@ -39,6 +41,7 @@ pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
         "mistral" => "llama",
         "qwen2_5_vl" | "qwen2_vl" | "qwen2_vl_text" => "qwen2_5_vl_text",
         "qwen3_vl" => "qwen3_vl_text",
+        "qwen3_5" => "qwen3_5_text",
         "gemma3" => "gemma3_text",
         other => other,
     };
@@ -88,7 +91,7 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         .unwrap_or(hidden / heads);
     if let Some(rotated) = header
         .count(&key("rope.dimension_count"))?
-        .filter(|rotated| *rotated != head_dim)
+        .filter(|rotated| *rotated != head_dim && architecture != qwen35::ARCHITECTURE)
     {
         return Err(header.error(
             &key("rope.dimension_count"),
@@ -122,7 +125,8 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         // Left out, it is llama.cpp's default, not that of a class of transformers.
         "rope_theta": header.number(&key("rope.freq_base"))?.unwrap_or(DEFAULT_THETA),
         "sliding_window": window,
-        "attention_bias": header.tensors.contains_key("blk.0.attn_q.bias"),
+        // The first layer may have no attention.
+        "attention_bias": header.tensors.keys().any(|name| name.ends_with(".attn_q.bias")),
         "mlp_bias": header.tensors.contains_key("blk.0.ffn_up.bias"),
         "tie_word_embeddings": !header.tensors.contains_key("output.weight"),
     });
@@ -153,11 +157,14 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     if architecture == lfm2::ARCHITECTURE {
         lfm2::add_keys(header, &mut config)?;
     }
+    if architecture == qwen35::ARCHITECTURE {
+        qwen35::add_keys(header, &mut config)?;
+    }
     if let Some(sections) =
         header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?
     {
         config["rope_scaling"]["mrope_section"] = json!(sections.get(..3));
-        config["rope_scaling"]["mrope_interleaved"] = json!(architecture == INTERLEAVED);
+        config["rope_scaling"]["mrope_interleaved"] = json!(INTERLEAVED.contains(&architecture));
     }
     Ok(config)
 }
