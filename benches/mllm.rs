@@ -15,11 +15,10 @@
 
 use candle_core::{Device, Tensor};
 use half::f16;
-use planagent_kernels::matrix::byte_operations;
+use planagent_kernels::limits::{Limits, plain_read};
 use planagent_mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use rayon::prelude::*;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -38,10 +37,6 @@ const PROMPT: usize = 512;
 const BYTES: usize = 256 << 20;
 /// Time of a measurement.
 const TIME: Duration = Duration::from_millis(1500);
-/// Rounds of products in registers in a run: some 20 ms.
-const ROUNDS: usize = 5_000_000;
-/// Numbers of a plain read that are added at once.
-const WORDS: usize = 64;
 
 fn numbers(count: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
     (0..count).map(|_| random.random_range(-1.0..1.0)).collect()
@@ -102,35 +97,6 @@ impl Fastest {
     }
 }
 
-fn read(words: &[u64]) -> u64 {
-    let parts = words.par_chunks(words.len().div_ceil(4 * rayon::current_num_threads()));
-    let sums = parts.map(|part| {
-        let mut sums = [0u64; WORDS];
-        for words in part.as_chunks::<WORDS>().0 {
-            sums.iter_mut()
-                .zip(words)
-                .for_each(|(sum, word)| *sum = sum.wrapping_add(*word));
-        }
-        sums.into_iter().fold(0, u64::wrapping_add)
-    });
-    sums.reduce(|| 0, u64::wrapping_add)
-}
-
-/// Operations a second of 8-bit products in registers, by all threads.
-fn peak() -> f64 {
-    let mut fastest = Fastest(f64::MAX);
-    let mut operations = 0;
-    let start = Instant::now();
-    while start.elapsed() < TIME {
-        fastest.measure(|| {
-            operations = rayon::broadcast(|_| byte_operations(ROUNDS))
-                .into_iter()
-                .sum();
-        });
-    }
-    operations as f64 / fastest.0
-}
-
 fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
     let random = &mut Pcg64Mcg::seed_from_u64(1);
     let [outputs, inputs] = shape;
@@ -160,7 +126,7 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
             }
         });
         plain.measure(|| {
-            black_box(read(black_box(&words)));
+            black_box(plain_read(black_box(&words)));
         });
     }
     let start = Instant::now();
@@ -184,7 +150,7 @@ fn main() {
         .skip(1)
         .filter(|argument| !argument.starts_with('-'))
         .collect();
-    let peak = peak();
+    let peak = Limits::measure().operations_per_s;
     println!(
         "8-bit products in registers, {} threads: {:.2} TOP/s\n",
         rayon::current_num_threads(),

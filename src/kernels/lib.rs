@@ -4,13 +4,17 @@
 mod activation;
 pub mod attention;
 mod layer_norm;
+pub mod limits;
 mod linear;
 pub mod matrix;
 pub mod pointwise;
 mod rms_norm;
 pub mod values;
+mod work;
 
 pub use activation::Activation;
 pub use layer_norm::LayerNorm;
+pub use limits::Limits;
 pub use linear::Linear;
 pub use rms_norm::RmsNorm;
+pub use work::Work;

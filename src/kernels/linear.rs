@@ -24,6 +24,15 @@ impl Linear {
         Ok(Self::from_matrix(Matrix::from_tensor(weight)?, bias))
     }
 
+    /// As [`Matrix::in_two_terms`].
+    #[must_use]
+    pub fn in_two_terms(self) -> Self {
+        Self {
+            weight: self.weight.in_two_terms(),
+            ..self
+        }
+    }
+
     /// Numbers of a row of the result.
     pub fn outputs(&self) -> usize {
         self.weight.outputs()

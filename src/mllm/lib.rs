@@ -87,6 +87,7 @@ pub use local::{
     FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline,
 };
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
+pub use planagent_kernels::{Limits, Work};
 pub use registry::{
     Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,
     ModelInputs, ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,

@@ -448,6 +448,11 @@ fn progress_line(progress: Progress<'_>) -> String {
             format!("{}: {engine} loads the model", candidate.name)
         }
         Progress::LeftOut(candidate, why) => format!("{}: skipped: {why}", candidate.name),
+        Progress::Disturbed(candidate, share) => format!(
+            "{}: the processor reached {:.0} % of its best; measured again",
+            candidate.name,
+            100.0 * share
+        ),
         Progress::Done(row, of) => {
             let warm_up = if row.warm_up { ", warm-up" } else { "" };
             let done = row.iteration + 1;

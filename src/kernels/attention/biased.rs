@@ -2,6 +2,7 @@
 //! are never stored. Each query weighs all keys at once, so a bias may hide any of them.
 
 use super::unit::add_product;
+use crate::Work;
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
 use crate::pointwise::softmax_in_place;
 use crate::values::with_values;
@@ -124,6 +125,8 @@ impl PackedKeyValues {
                 self.width
             );
         }
+        let held = 2 * batch * self.count * all * size_of::<f32>();
+        Work::count(2 * batch * count, all, self.count, held);
         let bias = bias
             .map(|bias| Bias::from_tensor(bias, [batch, self.heads, count, self.count]))
             .transpose()?;

@@ -161,6 +161,14 @@ impl KeyValues {
         Ok(())
     }
 
+    /// Bytes of a number.
+    pub(super) fn number_bytes(&self) -> usize {
+        match self.blocks {
+            Blocks::Single(_) => size_of::<f32>(),
+            Blocks::Half(_) => size_of::<half::f16>(),
+        }
+    }
+
     /// Positions of the allocated blocks.
     pub(super) fn capacity(&self) -> usize {
         match &self.blocks {

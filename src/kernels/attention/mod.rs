@@ -33,6 +33,7 @@ pub use rope::{Rope, RopeScaling, RotarySections, Yarn};
 pub use rotary::{Position, position_end};
 pub use rotary::{RotaryEmbedding, RotaryRows};
 
+use super::Work;
 use super::matrix::Instructions;
 use candle_core::{Device, Tensor};
 use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
@@ -70,12 +71,25 @@ pub fn attend(
             "{tokens} tokens of {shape:?} cannot attend by {mask:?} to {capacity} positions of {cached:?}"
         );
     }
+    count(shape, held, (0..tokens).map(|token| mask.seen_by(token)));
     let partial = mix(rows, held, mask, Instructions::best());
     Tensor::from_vec(
         partial,
         (tokens, shape.query_heads * shape.width),
         &Device::Cpu,
     )
+}
+
+/// Counts an attention by the positions that each token sees: the products with keys and values, and
+/// the keys and values that the last token sees.
+fn count(shape: HeadShape, held: &KeyValues, seen: impl Iterator<Item = Range<usize>>) {
+    let (mut pairs, mut last) = (0, 0);
+    for positions in seen {
+        last = positions.len();
+        pairs += last;
+    }
+    let bytes = 2 * last * shape.key_heads * shape.width * held.number_bytes();
+    Work::count(2 * pairs, shape.query_heads, shape.width, bytes);
 }
 
 fn mix(

@@ -29,13 +29,13 @@ use std::sync::Arc;
 pub use blocks::widen;
 pub use line::{CacheLine, LANES};
 use packed_tiles::PackedTiles;
-#[doc(hidden)]
-pub use probe::byte_operations;
+pub(crate) use probe::byte_operations;
 use product::Columns;
 pub use simd::{Instructions, Kernel, Simd};
 pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
+use super::Work;
 use super::values::{PIECE, with_values};
 
 /// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of
@@ -46,6 +46,8 @@ pub struct Matrix {
     outputs: usize,
     /// Consecutive rows in one weight format. A stack of matrices may have more than one segment.
     segments: Vec<Arc<PackedTiles>>,
+    /// Whether what rounding takes from the activations is multiplied too.
+    in_two_terms: bool,
 }
 
 impl Matrix {
@@ -104,6 +106,7 @@ impl Matrix {
             inputs,
             outputs,
             segments: vec![Arc::new(tiles)],
+            in_two_terms: false,
         })
     }
 
@@ -137,6 +140,7 @@ impl Matrix {
             );
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
+        let in_two_terms = matrices.iter().any(|matrix| matrix.in_two_terms);
         let mut segments: Vec<Arc<PackedTiles>> = Vec::new();
         for segment in matrices.into_iter().flat_map(|matrix| matrix.segments) {
             let last = segments.last_mut().and_then(Arc::get_mut);
@@ -148,7 +152,19 @@ impl Matrix {
             inputs,
             outputs,
             segments,
+            in_two_terms,
         })
+    }
+
+    /// Multiplies rounded activations and, in a second pass over the weights, what rounding takes
+    /// from them: for activations with outliers (docs/decisions/131-two-terms.md). Products with
+    /// floats round nothing and stay as they are.
+    #[must_use]
+    pub fn in_two_terms(self) -> Self {
+        Self {
+            in_two_terms: true,
+            ..self
+        }
     }
 
     /// Rows of the matrix: numbers of a product.
@@ -234,6 +250,7 @@ impl Matrix {
                 )
             }
         };
+        Work::count(tokens, self.inputs, self.outputs, self.bytes());
         let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
         // The sums start at the residual, so that adding it takes no pass over the result of its
         // own.
@@ -247,12 +264,19 @@ impl Matrix {
                 let bias = bias
                     .as_deref()
                     .and_then(|bias| bias.get(first..first + segment.outputs()));
-                let columns =
-                    Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
-                first += segment.outputs();
-                if let Some(columns) = columns {
-                    product::multiply(segment, x, &columns, Instructions::best());
+                let mut add = |x: &[f32], bias: Option<&[f32]>| {
+                    let (stride, width) = (self.outputs, segment.outputs());
+                    if let Some(columns) = Columns::new(&mut result, stride, first, width, bias) {
+                        product::multiply(segment, x, &columns, Instructions::best());
+                    }
+                };
+                add(x, bias);
+                if let Some(scaled) = segment.weight_format().activations_a_scale()
+                    && self.in_two_terms
+                {
+                    add(&quantized::lost_by_rounding(x, self.inputs, scaled), None);
                 }
+                first += segment.outputs();
             }
             Ok(())
         })?;

@@ -1,5 +1,4 @@
-//! Byte products from registers, for `benches/mllm.rs`: the bound of every product with quantized
-//! weights.
+//! Byte products from registers: the bound of every product with quantized weights.
 
 use super::line::{CacheLine, LANES};
 use super::simd::{Instructions, Kernel, Simd};
@@ -7,7 +6,7 @@ use std::hint::black_box;
 
 /// Multiplies and adds bytes that stay in registers, `rounds` times for each of several sums, on
 /// this thread. Returns the operations: two for each product.
-pub fn byte_operations(rounds: usize) -> usize {
+pub(crate) fn byte_operations(rounds: usize) -> usize {
     let mut sums = 0;
     Instructions::best().run(ByteOperations {
         rounds,

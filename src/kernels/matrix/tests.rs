@@ -175,6 +175,53 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 }
 
 #[test]
+fn two_terms_lose_a_hundredth_of_what_one_loses() {
+    let mut random = Pcg64Mcg::seed_from_u64(2);
+    let (outputs, inputs, rows) = (40, 512, 9);
+    let ids: Vec<u32> = (0..40).collect();
+    let values = random_rows(rows, inputs, &mut random);
+    let x = Tensor::from_vec(values, (rows, inputs), &Device::Cpu).unwrap();
+    for weight_format in every_format() {
+        let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
+        let one = Matrix::from_blocks(weight_format, outputs, inputs, &bytes).unwrap();
+        let exact = Matrix::from_tensor(&one.rows(&ids).unwrap()).unwrap();
+        let exact = exact.forward(&x).unwrap();
+        let lost = |found: &Tensor| {
+            let squares = (found - &exact).unwrap().sqr().unwrap();
+            squares
+                .sum_all()
+                .unwrap()
+                .to_scalar::<f32>()
+                .unwrap()
+                .sqrt()
+        };
+        let in_one = one.forward(&x).unwrap();
+        let two = one.in_two_terms();
+        let in_two = two.forward(&x).unwrap();
+        if weight_format.block() == 1 {
+            assert_eq!(lost(&in_two), lost(&in_one), "{weight_format}");
+        } else {
+            assert!(lost(&in_two) < lost(&in_one) / 100.0, "{weight_format}");
+        }
+        let alone = two.forward(&x.narrow(0, 4, 1).unwrap()).unwrap();
+        let among = in_two.narrow(0, 4, 1).unwrap();
+        assert_eq!(
+            alone.to_vec2::<f32>().unwrap(),
+            among.to_vec2::<f32>().unwrap()
+        );
+        let stack = Matrix::stack(vec![two.clone(), two])
+            .unwrap()
+            .forward(&x)
+            .unwrap();
+        let second = stack.narrow(1, outputs, outputs).unwrap();
+        assert_eq!(
+            second.to_vec2::<f32>().unwrap(),
+            in_two.to_vec2::<f32>().unwrap()
+        );
+    }
+}
+
+#[test]
 fn nan_and_infinity_appear_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
     for weight_format in every_format() {

@@ -98,6 +98,12 @@ impl WeightFormat {
         }
     }
 
+    /// Activations that share a scale when a product rounds them to eight bits; none where it rounds
+    /// nothing. As in ggml, these are the activations of a block of weights.
+    pub(super) fn activations_a_scale(self) -> Option<usize> {
+        Some(self.block()).filter(|block| *block > 1)
+    }
+
     /// Bytes of a block (ggml, `ggml-common.h`).
     pub fn block_bytes(self) -> usize {
         match self {

@@ -2,7 +2,7 @@
 
 use super::protocol::{LoadRequest, Loaded, Reply, Request};
 use planagent_child::BoundChild;
-use planagent_mllm::{Step, StepTime};
+use planagent_mllm::{Limits, Step, StepTime};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -112,6 +112,14 @@ impl Engine {
         match self.ask(&Request::Answer { prompt, count })? {
             Reply::Answered { logits, tokens } if tokens.len() == count => Ok((logits, tokens)),
             _ => Err(self.invalid("another reply than an answer")),
+        }
+    }
+
+    /// What the processor can do at most, measured in the process.
+    pub(crate) fn limits(&mut self) -> Result<Limits, EngineError> {
+        match self.ask(&Request::Limits)? {
+            Reply::Limits(limits) => Ok(limits),
+            _ => Err(self.invalid("another reply than limits")),
         }
     }
 

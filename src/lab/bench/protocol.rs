@@ -1,7 +1,7 @@
 //! The protocol of a measuring process: requests and replies are lines of JSON.
 
 use super::budget::Layout;
-use planagent_mllm::{Step, StepTime, WeightFormat};
+use planagent_mllm::{Limits, Step, StepTime, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -16,6 +16,8 @@ pub enum Request {
         prompt: Vec<u32>,
         count: usize,
     },
+    /// Measures what the processor can do at most; for this program alone.
+    Limits,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -75,6 +77,7 @@ pub enum Reply {
         logits: Vec<f32>,
         tokens: Vec<u32>,
     },
+    Limits(Limits),
     Failed(String),
 }
 

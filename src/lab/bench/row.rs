@@ -3,7 +3,7 @@
 use super::agreement::Agreement;
 use super::engine::EngineName;
 use super::protocol::Loaded;
-use planagent_mllm::{PassTime, Step, StepTime};
+use planagent_mllm::{Limits, PassTime, Step, StepTime};
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,6 +44,10 @@ pub struct ModelRow {
     pub prompt_tokens: usize,
     /// Peak memory of the process, bytes; `None` where the system does not report it.
     pub peak_memory: Option<u64>,
+    /// What the processor could do at most, before and after this program was measured; empty for
+    /// other engines.
+    #[serde(default)]
+    pub limits: Vec<Limits>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,18 +67,35 @@ impl Row {
     }
 }
 
+impl ModelRow {
+    /// The highest of a limit.
+    pub(crate) fn highest(&self, limit: fn(&Limits) -> f64) -> Option<f64> {
+        self.limits.iter().map(limit).reduce(f64::max)
+    }
+}
+
 impl IterationRow {
     /// Wall time of all steps, milliseconds.
     pub fn total_ms(&self) -> f64 {
         self.steps.iter().map(|timed| timed.time.ms).sum()
     }
 
+    /// Image encoding; without tokens.
+    pub(crate) fn encode(&self) -> PassTime {
+        let mut sum = PassTime::default();
+        for timed in self.steps.iter().filter(|timed| timed.step == Step::Encode) {
+            sum += PassTime {
+                tokens: 0,
+                ms: timed.time.ms,
+                work: timed.time.work,
+            };
+        }
+        sum
+    }
+
     /// Wall time of image encoding, milliseconds; `None` without an image.
     pub(crate) fn image_encode_ms(&self) -> Option<f64> {
-        let encodings = self.steps.iter().filter(|timed| timed.step == Step::Encode);
-        encodings
-            .map(|timed| timed.time.ms)
-            .reduce(|sum, ms| sum + ms)
+        Some(self.encode().ms).filter(|ms| *ms > 0.0)
     }
 
     /// From the start to the first sampled token, milliseconds.
@@ -134,7 +155,11 @@ mod tests {
         batch: (usize, f64),
         single: (usize, f64),
     ) -> TimedStep {
-        let pass = |(tokens, ms)| PassTime { tokens, ms };
+        let pass = |(tokens, ms)| PassTime {
+            tokens,
+            ms,
+            ..PassTime::default()
+        };
         TimedStep {
             step,
             time: StepTime {
@@ -142,6 +167,7 @@ mod tests {
                 first_token_ms,
                 batch: pass(batch),
                 single: pass(single),
+                ..StepTime::default()
             },
         }
     }
@@ -171,14 +197,16 @@ mod tests {
             row.prefill(),
             PassTime {
                 tokens: 84,
-                ms: 50.0
+                ms: 50.0,
+                ..PassTime::default()
             }
         );
         assert_eq!(
             row.decode(),
             PassTime {
                 tokens: 12,
-                ms: 45.0
+                ms: 45.0,
+                ..PassTime::default()
             }
         );
         let text = serde_json::to_string(&Row::Iteration(row.clone())).unwrap();

@@ -72,17 +72,25 @@ const PROMPTS: [usize; 4] = [1, 16, 64, 200];
 /// Tokens of an answer that are compared.
 const ANSWER: usize = 16;
 
+/// Share of the best limit of a run below which the processor was disturbed or throttled.
+const STEADY: f64 = 0.9;
+/// Times that a disturbed model is measured again.
+const REPEATS: usize = 2;
+
 #[derive(Debug, Clone, Copy)]
 pub enum Progress<'a> {
     Loading(EngineName, &'a Candidate),
     /// A depth is not measured, with the reason.
     LeftOut(&'a Candidate, &'a EngineError),
+    /// A model is measured again, because the processor reached this share of its best.
+    Disturbed(&'a Candidate, f64),
     /// An iteration is done; the number is the total of iterations.
     Done(&'a IterationRow, usize),
 }
 
 /// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()).
-/// `commit` gets all rows of a model at once. A model that fails gives a [`Row::Failed`], and the
+/// `commit` gets all rows of a model at once. A model is measured again, twice at most, if the
+/// processor's limit fell to nine tenths of the best of this run. A model that fails gives a [`Row::Failed`], and the
 /// next model follows.
 ///
 /// # Errors
@@ -94,6 +102,7 @@ pub fn run<E>(
     commit: &mut dyn FnMut(&[Row]) -> Result<(), E>,
     progress: &dyn Fn(Progress<'_>),
 ) -> Result<(), E> {
+    let mut best = 0.0;
     for candidate in candidates {
         let bench = Bench {
             candidate,
@@ -101,12 +110,14 @@ pub fn run<E>(
             program,
             progress,
         };
-        let rows = bench.measure().unwrap_or_else(|error| {
-            vec![Row::Failed(FailedRow {
-                model: candidate.name.clone(),
-                problem: error.to_string(),
-            })]
-        });
+        let rows = bench
+            .measure_undisturbed(&mut best)
+            .unwrap_or_else(|error| {
+                vec![Row::Failed(FailedRow {
+                    model: candidate.name.clone(),
+                    problem: error.to_string(),
+                })]
+            });
         commit(&rows)?;
     }
     Ok(())
@@ -126,6 +137,26 @@ struct Ready {
 }
 
 impl Bench<'_> {
+    /// Measures until the processor is as fast as at its best, operations a second.
+    fn measure_undisturbed(&self, best: &mut f64) -> Result<Vec<Row>, EngineError> {
+        let mut rows = self.measure()?;
+        for _ in 0..REPEATS {
+            let limits = rows.iter().filter_map(|row| match row {
+                Row::Model(row) => Some(row.limits.iter()),
+                _ => None,
+            });
+            let operations: Vec<f64> = limits.flatten().map(|all| all.operations_per_s).collect();
+            *best = operations.iter().copied().fold(*best, f64::max);
+            let lowest = operations.into_iter().fold(f64::INFINITY, f64::min);
+            if lowest >= STEADY * *best {
+                break;
+            }
+            (self.progress)(Progress::Disturbed(self.candidate, lowest / *best));
+            rows = self.measure()?;
+        }
+        Ok(rows)
+    }
+
     /// Measures the engines in turns: their steps alternate, each in a process of its own.
     /// Why: docs/decisions/006-bench-processes.md.
     fn measure(&self) -> Result<Vec<Row>, EngineError> {
@@ -160,6 +191,8 @@ impl Bench<'_> {
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
         }
+        let own = engines.first_mut().expect("the own engine comes first");
+        let mut limits = vec![own.engine.limits()?];
         let mut rows = Vec::new();
         if self.settings.versus == Some(Other::Candle) {
             rows.push(Row::Agreement(self.agreement(&mut engines)?));
@@ -194,6 +227,8 @@ impl Bench<'_> {
                     .map(Row::Iteration),
             );
         }
+        let own = engines.first_mut().expect("the own engine comes first");
+        limits.push(own.engine.limits()?);
         let prompt_tokens = CallBudget::for_prompts(self.candidate.prompts).prompt_tokens();
         rows.extend(engines.into_iter().map(|Ready { engine, loaded }| {
             let peak_memory = engine.peak_memory();
@@ -204,6 +239,7 @@ impl Bench<'_> {
                 loaded,
                 prompt_tokens,
                 peak_memory,
+                limits: std::mem::take(&mut limits),
             })
         }));
         Ok(rows)

@@ -4,7 +4,7 @@ use super::budget::Layout;
 use super::candle::{CandleError, CandleProbe};
 use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
 use planagent_mllm::{
-    LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape, Step, StepTime,
+    LatencyProbe, Limits, MllmError, ModelPlace, ModelRegistry, ModelShape, Step, StepTime,
 };
 use std::fmt::Display;
 use std::io::{self, BufRead, Write};
@@ -125,6 +125,7 @@ fn answer<P: Probe>(
             let (logits, tokens) = probe.answer(&prompt, count)?;
             Reply::Answered { logits, tokens }
         }
+        (Request::Limits, _) => Reply::Limits(Limits::measure()),
         (Request::Run(_) | Request::Answer { .. }, None) => {
             Reply::Failed("no model is loaded".into())
         }

@@ -21,4 +21,4 @@ pub(crate) use table::{study_markdown, twin_markdown};
 pub use twins::TwinRecords;
 
 #[cfg(test)]
-use bench::DraftedCall;
+use bench::{DraftedCall, Shares};

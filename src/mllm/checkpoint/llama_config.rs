@@ -9,6 +9,7 @@ use super::gemma_config::GemmaConfig;
 use super::rope_config::{ReadRope, read_rope};
 use super::weights::Weights;
 use crate::MllmError;
+use planagent_kernels::Linear;
 use planagent_kernels::attention::{Rope, RopeScaling, RotarySections, frequencies};
 use serde::Deserialize;
 
@@ -109,6 +110,15 @@ const MAX_HEAD: usize = 1 << 12;
 const MAX_LAYERS: usize = 1 << 12;
 
 impl LlamaConfig {
+    /// Makes a layer of one whose inputs no norm precedes. In Gemma 3 these have outliers, so that
+    /// one term of eight bits loses too much (docs/decisions/131-two-terms.md).
+    pub(crate) fn without_norm_before(&self, layer: Linear) -> Linear {
+        match self.gemma {
+            Some(_) => layer.in_two_terms(),
+            None => layer,
+        }
+    }
+
     /// Reads a `text_config`, of the class `unnamed` if it has no `model_type`.
     pub(crate) fn read(text: ConfigObject<'_>, unnamed: DecoderType) -> Result<Self, MllmError> {
         let kind = text.value("model_type")?.unwrap_or(unnamed);

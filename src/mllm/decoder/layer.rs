@@ -105,9 +105,12 @@ impl SwiGlu {
             .gemma
             .as_ref()
             .map_or(Activation::Silu, |_| Activation::GeluTanh);
+        let network = Self::take(weights, name, shape)?;
+        let down = config.without_norm_before(network.down);
         Ok(Self {
             act,
-            ..Self::take(weights, name, shape)?
+            down,
+            ..network
         })
     }
 

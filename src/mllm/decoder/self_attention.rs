@@ -41,12 +41,12 @@ impl SelfAttention {
                 None
             },
             attention: CausalAttention::new(config, layer),
-            out: weights.take_linear(
+            out: config.without_norm_before(weights.take_linear(
                 &format!("{name}.self_attn.o_proj"),
                 queries,
                 config.hidden,
                 config.output_bias,
-            )?,
+            )?),
         })
     }
 }

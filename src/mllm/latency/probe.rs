@@ -1,6 +1,6 @@
 //! A model whose steps are timed.
 
-use super::step::{Step, StepTime};
+use super::step::{PassTime, Step, StepTime};
 use crate::decoder::Logits;
 use crate::family::{ImageFeatures, VisionLanguageModel};
 use crate::local::Sequence;
@@ -8,6 +8,7 @@ use crate::sampling::Sampler;
 use crate::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
 use candle_core::Tensor;
 use image::RgbImage;
+use planagent_kernels::Work;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::time::Instant;
@@ -69,7 +70,7 @@ impl LatencyProbe {
 
     /// Runs a step. After an error the sequence cannot be used.
     pub fn run(&mut self, step: Step) -> Result<StepTime, MllmError> {
-        let start = Instant::now();
+        let (start, before) = (Instant::now(), Work::so_far());
         let mut time = StepTime::default();
         match step {
             Step::Keep(tokens) => {
@@ -121,6 +122,7 @@ impl LatencyProbe {
             }
         }
         time.ms = milliseconds(start.elapsed());
+        time.work = Work::so_far() - before;
         Ok(time)
     }
 
@@ -159,7 +161,7 @@ impl LatencyProbe {
         wanted: Logits,
         time: &mut StepTime,
     ) -> Result<Option<Tensor>, MllmError> {
-        let start = Instant::now();
+        let (start, before) = (Instant::now(), Work::so_far());
         // As a conversation marks its prompts.
         if self.pending.len() > LONGEST_ANSWER_PASS {
             let image_token = self.model.info().image_token;
@@ -172,7 +174,11 @@ impl LatencyProbe {
             wanted,
             Deadline::NONE,
         )?;
-        time.add_pass(self.pending.len(), milliseconds(start.elapsed()));
+        time.add_pass(PassTime {
+            tokens: self.pending.len(),
+            ms: milliseconds(start.elapsed()),
+            work: Work::so_far() - before,
+        });
         self.pending.clear();
         Ok(logits)
     }

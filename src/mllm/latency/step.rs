@@ -1,5 +1,6 @@
 //! The steps of a planning call.
 
+use planagent_kernels::Work;
 use serde::{Deserialize, Serialize};
 
 /// A step of a planning call. Appended tokens are computed together by the next step that needs
@@ -35,14 +36,12 @@ pub struct PassTime {
     pub tokens: usize,
     /// Wall time, milliseconds.
     pub ms: f64,
+    /// Products; none where an engine does not count them.
+    #[serde(default)]
+    pub work: Work,
 }
 
 impl PassTime {
-    pub fn add(&mut self, tokens: usize, ms: f64) {
-        self.tokens += tokens;
-        self.ms += ms;
-    }
-
     /// Tokens a second; none without tokens or time.
     pub fn rate(&self) -> Option<f64> {
         (self.tokens > 0 && self.ms > 0.0).then(|| self.tokens as f64 * 1e3 / self.ms)
@@ -51,7 +50,9 @@ impl PassTime {
 
 impl std::ops::AddAssign for PassTime {
     fn add_assign(&mut self, other: Self) {
-        self.add(other.tokens, other.ms);
+        self.tokens += other.tokens;
+        self.ms += other.ms;
+        self.work += other.work;
     }
 }
 
@@ -67,15 +68,18 @@ pub struct StepTime {
     pub batch: PassTime,
     /// Passes of one token.
     pub single: PassTime,
+    /// Products of the whole step.
+    #[serde(default)]
+    pub work: Work,
 }
 
 impl StepTime {
-    /// Adds a pass over so many tokens.
-    pub fn add_pass(&mut self, tokens: usize, ms: f64) {
-        match tokens {
+    /// Adds a pass over some tokens.
+    pub fn add_pass(&mut self, pass: PassTime) {
+        match pass.tokens {
             0 => {}
-            1 => self.single.add(1, ms),
-            _ => self.batch.add(tokens, ms),
+            1 => self.single += pass,
+            _ => self.batch += pass,
         }
     }
 }
@@ -110,16 +114,25 @@ mod tests {
     #[test]
     fn passes_are_told_apart_by_their_tokens() {
         let mut time = StepTime::default();
+        let pass = |tokens, ms, operations| PassTime {
+            tokens,
+            ms,
+            work: Work {
+                operations,
+                bytes: 7,
+            },
+        };
         for (tokens, ms) in [(0, 9.0), (1, 2.0), (8, 4.0), (1, 3.0)] {
-            time.add_pass(tokens, ms);
+            time.add_pass(pass(tokens, ms, 10));
         }
-        assert_eq!(
-            (time.batch, time.single),
-            (
-                PassTime { tokens: 8, ms: 4.0 },
-                PassTime { tokens: 2, ms: 5.0 }
-            )
-        );
+        let two = PassTime {
+            work: Work {
+                operations: 20,
+                bytes: 14,
+            },
+            ..pass(2, 5.0, 0)
+        };
+        assert_eq!((time.batch, time.single), (pass(8, 4.0, 10), two));
         assert_eq!(time.batch.rate(), Some(2000.0));
         assert_eq!(PassTime::default().rate(), None);
     }

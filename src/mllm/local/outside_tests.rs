@@ -241,6 +241,36 @@ fn numbers_of_real_models_are_exact_in_f32_and_near_in_their_own_formats() {
     }
 }
 
+/// Twenty prompts of several kinds, 64 tokens each. transformers read the GGUF files itself.
+#[test]
+#[ignore = "needs the files of $PLANAGENT_WEIGHTS"]
+fn greedy_tokens_of_real_models_are_those_of_transformers() {
+    let reference = read_json(&fixture("real_weights/greedy.json")).unwrap();
+    for real in &MODELS {
+        let Some((_folder, place)) = file_of(real) else {
+            continue;
+        };
+        let runs = reference[real.file].as_array().unwrap();
+        assert_eq!(runs.len(), 20);
+        let folder = written_out(&place);
+        let exact = load(&ModelPlace::Folder(folder.path().to_path_buf()));
+        for run in runs {
+            let prompt = exact.tokenizer.encode_chat(run["prompt"].as_str().unwrap());
+            assert_eq!(prompt.as_ref().unwrap(), &list(&run["prompt_ids"]), "{run}");
+            let expected = list(&run["tokens"]);
+            assert_eq!(expected.len(), 64);
+            let mut sequence = Sequence::new(&*exact.model);
+            let prompt = prompt.unwrap();
+            let found = greedy(&*exact.model, &mut sequence, &prompt, None, expected.len());
+            assert_eq!(found, expected, "{}: {run}", real.name);
+        }
+        println!(
+            "{}: greedy tokens of 20 prompts are transformers'",
+            real.name
+        );
+    }
+}
+
 /// Checks logits in exact arithmetic.
 fn assert_exact(real: &Real, expected: &Value, logits: &Tensor, ids: &[u32]) {
     let rows: Vec<Vec<f32>> = logits.to_vec2().unwrap();

@@ -14,6 +14,7 @@ pub(super) use tables::{Iq4Nl, Iq4Xs, Mxfp4};
 use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
+use rayon::prelude::*;
 
 /// Numbers in a span: a block of the k-quants.
 const SPAN: usize = 256;
@@ -374,6 +375,23 @@ fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
         }
     }
     scale
+}
+
+/// What rounding takes from rows of `inputs` activations, of which `scaled` share a scale.
+pub(super) fn lost_by_rounding(rows: &[f32], inputs: usize, scaled: usize) -> Vec<f32> {
+    let mut lost = rows.to_vec();
+    let parts = lost
+        .par_chunks_mut(inputs)
+        .flat_map_iter(|row| row.chunks_mut(scaled));
+    parts.for_each(|part| {
+        let mut numbers = [0; SPAN];
+        let numbers = &mut numbers[..part.len()];
+        let scale = quantize_activations(part, numbers);
+        for (value, number) in part.iter_mut().zip(numbers) {
+            *value -= f32::from(*number) * scale;
+        }
+    });
+    lost
 }
 
 /// Adds bit `bit` of the bytes of `high` to four-bit numbers.

@@ -215,6 +215,19 @@ impl Instructions {
         Self::available().next().unwrap_or(Self::Portable)
     }
 
+    /// The name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => "AVX-512 VNNI",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "AVX2",
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => "NEON",
+            Self::Portable => "plain",
+        }
+    }
+
     /// Runs a kernel with these instructions, or with the portable ones if the CPU lacks them.
     pub fn run<K: Kernel>(self, kernel: K) {
         #[cfg(target_arch = "x86_64")]

@@ -13,7 +13,7 @@ mod tests;
 use super::budget::Layout;
 use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice};
 use decoder::Opened;
-use planagent_mllm::{MllmError, ModelPlace, ModelRegistry, Step, StepTime};
+use planagent_mllm::{MllmError, ModelPlace, ModelRegistry, PassTime, Step, StepTime};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::io;
@@ -178,7 +178,11 @@ impl CandleProbe {
         }
         let start = Instant::now();
         let logits = self.opened.forward(&self.pending, self.ids.len())?;
-        time.add_pass(self.pending.len(), start.elapsed().as_secs_f64() * 1e3);
+        time.add_pass(PassTime {
+            tokens: self.pending.len(),
+            ms: start.elapsed().as_secs_f64() * 1e3,
+            ..PassTime::default()
+        });
         self.ids.append(&mut self.pending);
         Ok(logits)
     }

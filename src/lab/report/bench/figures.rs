@@ -1,6 +1,7 @@
 //! Statistics of a benchmark.
 
 use crate::bench::{Agreement, DRAFTED, EngineName, IterationRow, ModelRow, Row};
+use planagent_mllm::{PassTime, Work};
 use planagent_runs::report::{Quantiles, Spread};
 use serde::Serialize;
 
@@ -35,9 +36,23 @@ pub struct ModelFigures {
     pub decode_tokens_per_s: Option<f64>,
     /// Planning call, milliseconds.
     pub call_ms: Option<Quantiles>,
+    /// Shares of the processor's limits; none where an engine does not count its work.
+    pub shares: Option<Shares>,
     /// Planning call with drafts; empty where none were measured.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub drafted_calls: Vec<DraftedCall>,
+}
+
+/// How near a model's steps are to the processor's limits: operations of products beside those of
+/// 8-bit products in registers, bytes of weights, keys and values beside a plain read.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Shares {
+    /// Operations of the image encoding.
+    pub encode: Option<f64>,
+    /// Operations of the first prompt.
+    pub prefill: Option<f64>,
+    /// Bytes in passes of one token.
+    pub decode: Option<f64>,
 }
 
 /// Planning calls whose answers are drafted.
@@ -141,8 +156,28 @@ impl ModelFigures {
             first_token_ms: median(&IterationRow::first_token_ms),
             decode_tokens_per_s: median(&|row| row.decode().rate()),
             call_ms: Quantiles::from_values(calls.iter().map(|row| row.total_ms()).collect()),
+            shares: Shares::from_calls(about, &calls),
             drafted_calls: drafted_calls.collect(),
         }
+    }
+}
+
+impl Shares {
+    fn from_calls(about: &ModelRow, calls: &[&IterationRow]) -> Option<Self> {
+        let operations = about.highest(|limits| limits.operations_per_s)?;
+        let read = about.highest(|limits| limits.read_bytes_per_s)?;
+        let share = |pass: fn(&IterationRow) -> PassTime, work: fn(Work) -> u64, limit: f64| {
+            let shares = calls.iter().map(|row| pass(row)).filter_map(|pass| {
+                let work = work(pass.work) as f64;
+                (work > 0.0 && pass.ms > 0.0).then(|| work / (pass.ms / 1e3) / limit)
+            });
+            Spread::from_values(shares.collect()).map(|spread| spread.median)
+        };
+        Some(Self {
+            encode: share(IterationRow::encode, |work| work.operations, operations),
+            prefill: share(IterationRow::prefill, |work| work.operations, operations),
+            decode: share(IterationRow::decode, |work| work.bytes, read),
+        })
     }
 }
 

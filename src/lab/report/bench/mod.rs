@@ -5,5 +5,7 @@ mod folder;
 
 #[cfg(test)]
 pub(super) use figures::DraftedCall;
+#[cfg(test)]
+pub(super) use figures::Shares;
 pub use figures::{BenchFigures, Comparison, ModelFigures};
 pub use folder::{BenchFolder, BenchMetadata};

@@ -2,6 +2,7 @@
 
 use crate::bench::{Agreement, EngineName};
 use crate::report::{BenchFigures, Comparison, ModelFigures};
+use planagent_mllm::Limits;
 use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
 use planagent_runs::report::{markdown_block, markdown_line};
 use std::fmt::Write as _;
@@ -68,6 +69,19 @@ const COST: [Column; 7] = [
     column("calls", "number of planning calls", |m| m.calls.to_string()),
 ];
 
+/// How near its steps are to the processor's limits.
+const SHARES: [Column; 3] = [
+    column("encode", "operations of the image, beside the limit", |m| {
+        or_dash(m.shares.and_then(|shares| shares.encode), percent)
+    }),
+    column("prefill", "operations of the first prompt", |m| {
+        or_dash(m.shares.and_then(|shares| shares.prefill), percent)
+    }),
+    column("decode", "bytes of weights, beside a plain read", |m| {
+        or_dash(m.shares.and_then(|shares| shares.decode), percent)
+    }),
+];
+
 /// What it costs with drafts.
 const DRAFTED_COST: [Column; 4] = [
     column("0", "planning call, ms, without drafts", |m| {
@@ -112,6 +126,13 @@ pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
             .map(|column| format!("{} = {}", column.header, column.meaning));
         parts.push(width.listed(meanings).join("\n"));
     }
+    if let Some(limits) = limits(figures) {
+        parts.push(models(figures, &SHARES, |c| c.header.to_owned()).fitted(width));
+        let meanings = SHARES
+            .iter()
+            .map(|column| format!("{} = {}", column.header, column.meaning));
+        parts.push(width.listed(meanings.chain([limits])).join("\n"));
+    }
     if has_drafts(figures) {
         parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).fitted(width));
         let meanings = DRAFTED_COST
@@ -145,11 +166,20 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
         });
         let _ = write!(text, "\n{}", table.markdown());
     }
-    if has_drafts(figures) {
-        let table = models(figures, &DRAFTED_COST, |column| {
-            format!("{} ({})", column.header, column.meaning)
-        });
-        let _ = write!(text, "\n{}", table.markdown());
+    let limits = limits(figures);
+    for (columns, shown) in [
+        (&SHARES[..], limits.is_some()),
+        (&DRAFTED_COST, has_drafts(figures)),
+    ] {
+        if shown {
+            let table = models(figures, columns, |column| {
+                format!("{} ({})", column.header, column.meaning)
+            });
+            let _ = write!(text, "\n{}", table.markdown());
+        }
+    }
+    if let Some(limits) = limits {
+        let _ = writeln!(text, "\n{limits}.");
     }
     if !figures.comparisons.is_empty() {
         let other = markdown_line(&other_engine(figures));
@@ -250,6 +280,25 @@ fn other_engine(figures: &BenchFigures) -> String {
     }
 }
 
+/// The best limits of the processor, in words; none where no engine counts its work.
+fn limits(figures: &BenchFigures) -> Option<String> {
+    let highest = |limit: fn(&Limits) -> f64| {
+        let all = figures.models.iter().filter_map(|m| m.about.highest(limit));
+        all.reduce(f64::max)
+    };
+    let kernels = figures.models.iter().find_map(|m| m.about.limits.first())?;
+    Some(format!(
+        "limit = {} TOP/s of 8-bit products ({}), {} GB/s of reads",
+        three_digits(highest(|limits| limits.operations_per_s)? / 1e12),
+        kernels.kernels,
+        three_digits(highest(|limits| limits.read_bytes_per_s)? / 1e9)
+    ))
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
 fn memory(bytes: u64) -> String {
     let bytes = bytes as f64;
     if bytes < GIBI {
@@ -264,7 +313,7 @@ mod tests {
     use super::*;
     use crate::bench::protocol::Loaded;
     use crate::bench::{Layout, ModelRow};
-    use crate::report::DraftedCall;
+    use crate::report::{DraftedCall, Shares};
     use planagent_runs::report::{Quantiles, Spread};
 
     #[test]
@@ -288,6 +337,11 @@ mod tests {
                 loaded: loaded.clone(),
                 prompt_tokens: 1234,
                 peak_memory: Some(17 << 30),
+                limits: vec![Limits {
+                    kernels: "AVX-512 VNNI".to_owned(),
+                    operations_per_s: 1.76e12,
+                    read_bytes_per_s: 45.6e9,
+                }],
             },
             calls: 5,
             image_encode_ms: Some(12_345.0),
@@ -297,6 +351,11 @@ mod tests {
             call_ms: Some(Quantiles {
                 p50: 123_456.0,
                 p95: 234_567.0,
+            }),
+            shares: Some(Shares {
+                encode: Some(0.385),
+                prefill: Some(0.5),
+                decode: None,
             }),
             drafted_calls: vec![DraftedCall {
                 acceptance: 0.25,
