@@ -151,14 +151,14 @@ fn map(values: &[f32], out: &mut [f32], function: impl Fn(f32) -> f32) {
 /// The function of gates. A type of its own, so that it is inlined where the instructions are
 /// enabled.
 trait Gate {
-    fn of(gate: f32) -> f32;
+    fn apply(gate: f32) -> f32;
 }
 
 struct SiluGate;
 
 impl Gate for SiluGate {
     #[inline(always)]
-    fn of(gate: f32) -> f32 {
+    fn apply(gate: f32) -> f32 {
         gate * sigmoid(gate)
     }
 }
@@ -167,7 +167,7 @@ struct GeluTanhGate;
 
 impl Gate for GeluTanhGate {
     #[inline(always)]
-    fn of(gate: f32) -> f32 {
+    fn apply(gate: f32) -> f32 {
         gelu_tanh(gate)
     }
 }
@@ -189,7 +189,7 @@ impl<G: Gate> Kernel for GatedKernel<'_, G> {
         {
             let (gates, values) = row.split_at(self.width);
             for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
-                *out = G::of(*gate) * value;
+                *out = G::apply(*gate) * value;
             }
         }
     }

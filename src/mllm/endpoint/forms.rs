@@ -92,7 +92,7 @@ fn system_in_prompt(messages: &mut Vec<Value>) {
         return;
     };
     let begun = |text: &Value| {
-        let text = text.as_str().unwrap_or_default();
+        let text = text.as_str().unwrap_or("");
         json!(format!("{system}\n\n{text}"))
     };
     match prompt.get_mut("content") {

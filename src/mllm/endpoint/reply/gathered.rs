@@ -214,8 +214,8 @@ impl Gathered {
         let text = bare(&found.text);
         // Only the whole answer: an event may end within the key.
         let content = hide(text);
-        // What may have been the beginning of a mark was not passed on yet. What was passed on and
-        // is reasoning, because its end came late, cannot be taken back.
+        // What may have been the beginning of a mark was not passed on yet. What was passed on stays
+        // where it is, also if it was reasoning whose end came late.
         let rest = if listen.whole {
             Some(content.as_str())
         } else {

@@ -179,7 +179,7 @@ impl Interface {
 
 /// A member that is a text; empty where there is none.
 fn text<'a>(reply: &'a Value, name: &str) -> &'a str {
-    reply.get(name).and_then(Value::as_str).unwrap_or_default()
+    reply.get(name).and_then(Value::as_str).unwrap_or("")
 }
 
 fn is_text(reply: &Value, name: &str) -> bool {

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 /// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama
 /// and `OpenRouter`; `LiteLLM`; others.
-const REASONING: [&str; 9] = [
+const REASONING: [&str; 7] = [
     "reasoning_content",
     "reasoning",
     "thinking",
@@ -12,8 +12,6 @@ const REASONING: [&str; 9] = [
     "thinking_blocks",
     "thinking_content",
     "reasoning_text",
-    "thought",
-    "thoughts",
 ];
 /// Types of parts with text of the answer.
 const TEXT_PARTS: [&str; 2] = ["text", "output_text"];

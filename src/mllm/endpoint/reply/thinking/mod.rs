@@ -157,7 +157,9 @@ impl Reader {
     }
 
     fn rest_from(&self, from: usize) -> &str {
-        self.content.get(from..).unwrap_or_default()
+        self.content
+            .get(from..)
+            .expect("places in the content lie between characters")
     }
 
     /// Decides what can be decided; `ended` says that nothing follows.
@@ -251,6 +253,7 @@ impl Reader {
                 }
             };
             self.at += length;
+            // An inner beginning may be a mention, so the last end before the outer one is kept.
             match step {
                 Step::Deeper => open.depth += 1,
                 Step::End if open.depth > 1 => {
@@ -331,7 +334,10 @@ impl Reader {
     /// Takes bytes of the content over into the answer.
     fn keep(&mut self, length: usize) {
         let (from, to) = (self.at, self.at + length);
-        let kept = self.content.get(from..to).unwrap_or_default();
+        let kept = self
+            .content
+            .get(from..to)
+            .expect("places in the content lie between characters");
         self.answer.push_str(kept);
         self.at = to;
     }
