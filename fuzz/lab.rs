@@ -2,8 +2,9 @@
 //! twins.
 
 use super::folder;
-use planagent_lab::report::{BenchFigures, BenchFolder, BenchMetadata, TwinRecords};
+use planagent_lab::report::{BenchFigures, BenchFolder, BenchMetadata, Records};
 use planagent_lab::study;
+use planagent_lab::twins::PairRecord;
 
 /// A study.
 pub(super) fn study(bytes: &[u8]) -> bool {
@@ -25,7 +26,7 @@ pub(super) fn lab_folder(bytes: &[u8]) -> bool {
             true
         }),
         "metadata.json" => BenchFolder::resume(folder.path(), &metadata()).is_ok(),
-        _ => TwinRecords::open(folder.path()).is_ok(),
+        name => Records::<PairRecord>::open(folder.path(), name).is_ok(),
     }
 }
 

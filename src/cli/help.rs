@@ -174,6 +174,12 @@ Examples:
   planagent study main --suite recorded --scenario folder/of/recordings
   planagent study my_study.toml";
 
+pub(super) const CARD: &str = "\
+Examples:
+  planagent card
+  planagent card --model path/to/model.gguf --prompt-set brief --limit 14
+  planagent card --latency-of runs/cards/nano --out again";
+
 pub(super) const BENCH: &str = "\
 Examples:
   planagent bench

@@ -160,6 +160,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
         Command::Memory(command) => commands::memory::run(command, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
+        Command::Card(flags) => commands::card::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
         Command::Config(flags) => commands::config::run(flags, &settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),

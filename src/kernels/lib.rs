@@ -3,6 +3,7 @@
 
 mod activation;
 pub mod attention;
+mod delta_rule;
 mod layer_norm;
 pub mod limits;
 mod linear;
@@ -13,6 +14,7 @@ pub mod values;
 mod work;
 
 pub use activation::Activation;
+pub use delta_rule::{DeltaHeads, GatedDeltaRule};
 pub use layer_norm::LayerNorm;
 pub use limits::Limits;
 pub use linear::Linear;

@@ -53,6 +53,18 @@ fn gated<G: Gate>(gate_up: &Tensor, width: usize) -> Result<Tensor> {
     })
 }
 
+/// σ(gate) · value of rows (gate, value), (tokens, 2 · width), to (tokens, width).
+///
+/// # Errors
+/// When the rows have an odd width.
+pub fn sigmoid_gated(rows: &Tensor) -> Result<Tensor> {
+    let both = rows.dim(D::Minus1)?;
+    if both % 2 == 1 {
+        bail!("rows of {both} numbers do not split into gates and values of equal width");
+    }
+    gated::<SigmoidGate>(rows, both / 2)
+}
+
 /// A share of a softmax below this becomes zero. Products with it would be subnormal, which made
 /// the networks of GameFormer and DTPP two to three times as slow.
 const NEGLIGIBLE: f32 = 1e-30;
@@ -169,6 +181,15 @@ impl Gate for GeluTanhGate {
     #[inline(always)]
     fn apply(gate: f32) -> f32 {
         gelu_tanh(gate)
+    }
+}
+
+struct SigmoidGate;
+
+impl Gate for SigmoidGate {
+    #[inline(always)]
+    fn apply(gate: f32) -> f32 {
+        sigmoid(gate)
     }
 }
 
@@ -393,7 +414,18 @@ mod tests {
                 }
             }
         }
+        let found = sigmoid_gated(&gate_up).unwrap();
+        for row in found.to_vec2::<f32>().unwrap() {
+            for (found, x) in row.into_iter().zip(&x) {
+                let expected = 3.0 / (1.0 + (-f64::from(*x)).exp());
+                assert!(
+                    (f64::from(found) - expected).abs() <= 1e-6 * expected + 1e-30,
+                    "{x}"
+                );
+            }
+        }
         let odd = Tensor::zeros((2, 3), candle_core::DType::F32, &Device::Cpu).unwrap();
+        assert!(sigmoid_gated(&odd).is_err());
         assert!(Activation::Silu.gated(&odd).is_err());
         assert!(Activation::Relu.gated(&gate_up).is_err());
     }

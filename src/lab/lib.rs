@@ -1,8 +1,10 @@
-//! The lab: studies, datasets, text twins, realism, tokens and the bench of planning calls, with
-//! their results.
+//! The lab: studies, cards of models, datasets, text twins, realism, tokens and the bench of planning
+//! calls, with their results.
 
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod bench;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod card;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod dataset;
 #[allow(missing_docs, reason = "the root names little of it")]

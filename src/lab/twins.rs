@@ -5,13 +5,16 @@
 
 use super::dataset::twins::{self, NoPair, PairName, TwinScene};
 use planagent_agent::environment::BevView;
-use planagent_agent::planner::{AgentLayer as _, CodeSource, Planner as _, PlannerInput};
+use planagent_agent::planner::{
+    AgentLayer as _, CodeSource, Planner as _, PlannerInput, PlanningCall,
+};
 use planagent_agent::reasoning::{PlannerAnswer, PlannerCode, PromptError, PromptSet};
 use planagent_runs::worker::run::{AgentParts, with_causes};
 use planagent_runs::worker::seeds::Split;
 use planagent_runs::worker::statistics::wilson;
 use planagent_scenario::generator::ScenarioType;
 use planagent_scenario::modified::TwinKind;
+use planagent_world::SceneView;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -212,24 +215,39 @@ fn first_code(
     scene: &TwinScene,
     parts: &AgentParts,
 ) -> Result<Option<PlannerCode>, TwinError> {
-    let failed = |fault: String| TwinError::Call {
+    let id = &scene.simulation.scenario().id;
+    let call = first_call(parts, id, scene.simulation.scene())?;
+    let call = call.map_err(|fault| TwinError::Call {
         pair: name.to_string(),
         fault,
-    };
-    let id = &scene.simulation.scenario().id;
-    let mut agent = parts.agent(id).ok_or(TwinError::NoModel)?;
+    })?;
+    Ok(call
+        .attempts
+        .first()
+        .and_then(|attempt| attempt.answer.as_ref())
+        .and_then(PlannerAnswer::code))
+}
+
+/// The first planning call of the agent of `parts` in a scene; or why it failed.
+///
+/// # Errors
+/// When there is no model.
+pub(crate) fn first_call(
+    parts: &AgentParts,
+    scenario_id: &str,
+    scene: SceneView<'_>,
+) -> Result<Result<PlanningCall, String>, TwinError> {
+    let mut agent = parts.agent(scenario_id).ok_or(TwinError::NoModel)?;
     agent.state_mut().request_call();
     let input = PlannerInput {
         iteration: 0,
-        scene: scene.simulation.scene(),
+        scene,
     };
-    agent
-        .compute_trajectory(&input)
-        .map_err(|error| failed(with_causes(&error)))?;
-    let attempt = agent.calls().last().and_then(|call| call.attempts.first());
-    Ok(attempt
-        .and_then(|attempt| attempt.answer.as_ref())
-        .and_then(PlannerAnswer::code))
+    if let Err(error) = agent.compute_trajectory(&input) {
+        return Ok(Err(with_causes(&error)));
+    }
+    let call = agent.take_calls().pop();
+    Ok(call.ok_or_else(|| "the agent made no planning call".to_owned()))
 }
 
 /// Shares over the pairs of a kind, percent.

@@ -45,6 +45,7 @@ mod llava_onevision;
 mod local;
 mod qwen2_5_vl;
 mod qwen2_vl;
+mod qwen3_5;
 mod qwen3_vl;
 mod registry;
 mod sampling;

@@ -5,7 +5,7 @@ use std::path::Path;
 use tempfile::TempDir;
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 28] = [
+pub(super) const COMMANDS: [&str; 29] = [
     "",
     "simulate",
     "plan",
@@ -31,6 +31,7 @@ pub(super) const COMMANDS: [&str; 28] = [
     "models quantize",
     "dataset",
     "study",
+    "card",
     "bench",
     "config",
     "completions",
@@ -109,7 +110,7 @@ fn options_about_models_stand_only_where_a_model_is_used() {
         let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
         let text = run(&words).1;
         let uses = [
-            "simulate", "plan", "ask", "dataset", "study", "bench", "config",
+            "simulate", "plan", "ask", "dataset", "study", "card", "bench", "config",
         ]
         .contains(&command);
         assert_eq!(text.contains("--model <MODEL>"), uses, "{command}");

@@ -3,6 +3,7 @@
 mod advice;
 mod agents;
 mod ask;
+mod card;
 #[cfg(unix)]
 mod children;
 mod code;

@@ -278,6 +278,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent models fetch llava-1.5-7b",
         NETWORK,
     ),
+    ("docs/cards.md", "planagent card", HOURS),
+    (
+        "docs/cards.md",
+        "planagent card --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief --limit 2",
+        WEIGHTS,
+    ),
     (
         "docs/teach.md",
         "planagent simulate --model FOLDER --adapter adapter",
@@ -638,6 +644,7 @@ macro_rules! pages {
 pages! {
     commands_of_the_readme: "README.md",
     commands_of_agents: "docs/agents.md",
+    commands_of_cards: "docs/cards.md",
     commands_of_devkit: "docs/devkit.md",
     commands_of_endpoint: "docs/endpoint.md",
     commands_of_exec: "docs/exec.md",

@@ -1,5 +1,6 @@
 //! Models behind a server: requests, answers, failures, and simulations that continue after them.
 
+mod card;
 mod deadline;
 mod key;
 mod llama_cpp;

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 12] = [
+const FAMILIES: [Tiny; 13] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -67,6 +67,10 @@ const FAMILIES: [Tiny; 12] = [
         name: "tiny_lfm2_vl",
         architecture: "lfm2-vl",
     },
+    Tiny {
+        name: "tiny_qwen3_5",
+        architecture: "qwen3.5",
+    },
 ];
 
 /// A tiny checkpoint with references.
@@ -83,7 +87,14 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 
 /// Families without a vision tower, which the decoders of the others are checkpoints of
 /// (`src/mllm/local/text_only_tests.rs`), but for the last two.
-const TEXT_ONLY: [&str; 5] = ["llama", "qwen2", "qwen3", "gemma3_text", "lfm2"];
+const TEXT_ONLY: [&str; 6] = [
+    "llama",
+    "qwen2",
+    "qwen3",
+    "qwen3_5_text",
+    "gemma3_text",
+    "lfm2",
+];
 
 #[test]
 fn every_family_has_a_checkpoint() {
@@ -483,6 +494,9 @@ fn the_described_models_are_all_readable() {
         ("lfm2-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-1.6b", "lfm2-vl"),
+        ("qwen3.5-0.8b", "qwen3.5"),
+        ("qwen3.5-2b", "qwen3.5"),
+        ("qwen3.5-4b", "qwen3.5"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

@@ -1,6 +1,7 @@
 //! The arguments of the command line.
 
 mod ask;
+mod card;
 mod data;
 mod memory;
 mod model;
@@ -11,6 +12,7 @@ mod simulate;
 mod studies;
 
 pub(super) use ask::AskArguments;
+pub(super) use card::CardArguments;
 pub(super) use data::DataArguments;
 pub(super) use memory::{FillArguments, MemoryAgent, MemoryCommand};
 pub(super) use model::{ModelArguments, ModelFlags};
@@ -64,7 +66,7 @@ pub(super) struct GlobalArguments {
     #[arg(long, global = true, value_name = "KEY=VALUE", help_heading = GLOBAL)]
     pub(super) set: Vec<String>,
     /// Seed of all random numbers.
-    #[arg(long, global = true, help_heading = GLOBAL)]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true)]
     pub(super) seed: Option<u64>,
     /// Number of threads; 0 for one per core.
     #[arg(long, global = true, value_name = "N", help_heading = GLOBAL, hide_short_help = true)]
@@ -160,6 +162,12 @@ pub(super) enum Command {
     /// Reproduce the paper's tables and figures, and run further studies.
     #[command(after_long_help = help::STUDY)]
     Study(StudyArguments),
+    /// Say on one page what a model is worth as a source of codes.
+    ///
+    /// Scores beside those of random, fixed and grid codes, the cost of a call, whether probable
+    /// codes are good ones, whether picture and reasoning matter: as Markdown, JSON and HTML.
+    #[command(after_long_help = help::CARD)]
+    Card(CardArguments),
     /// Measure planning calls of local models, also against llama.cpp.
     #[command(after_long_help = help::BENCH)]
     Bench(BenchArguments),
@@ -198,6 +206,7 @@ impl Command {
             Self::Dataset(flags) => flags.model.flags(),
             Self::Memory(MemoryCommand::Fill(flags)) => flags.model.flags(),
             Self::Study(flags) => flags.model.flags(),
+            Self::Card(flags) => flags.model.flags(),
             Self::Bench(flags) => flags.model.flags(),
             Self::Models(command) => command.flags(),
             Self::Config(flags) => flags.model.flags(),

@@ -2,6 +2,7 @@
 
 pub(super) mod ask;
 pub(super) mod bench;
+pub(super) mod card;
 pub(super) mod compare;
 pub(super) mod completions;
 pub(super) mod config;

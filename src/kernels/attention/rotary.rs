@@ -7,7 +7,8 @@ use super::rope::{Rope, RopeScaling, RotarySections};
 /// have three equal numbers.
 pub type Position = [u32; 3];
 
-/// Frequencies of the pairs of a head's channels, for the positions of a context.
+/// Frequencies of the pairs of a head's channels, for the positions of a context. Channels behind
+/// the last pair are not turned.
 #[derive(Debug)]
 pub struct RotaryEmbedding {
     pairs: Vec<Pair>,
@@ -27,7 +28,7 @@ struct Pair {
 /// Cosines and sines of the rows of one pass.
 #[derive(Debug, Clone)]
 pub struct RotaryRows {
-    /// (tokens, head width / 2)
+    /// (tokens, pairs)
     angles: Vec<Turn>,
     pairs: usize,
 }
@@ -56,9 +57,9 @@ impl Turn {
 }
 
 impl RotaryEmbedding {
-    /// Of heads of this width and the positions below `context`.
-    pub fn new(rope: &Rope, head_width: usize, context: usize) -> Self {
-        let frequencies = frequencies(rope, head_width);
+    /// Of the positions below `context` and heads whose first `rotated` channels are turned.
+    pub fn new(rope: &Rope, rotated: usize, context: usize) -> Self {
+        let frequencies = frequencies(rope, rotated);
         let axis = |pair| rope.sections.map_or(0, |sections| axis(sections, pair));
         let pairs = frequencies
             .iter()
@@ -202,14 +203,19 @@ impl RotaryRows {
     }
 
     pub(super) fn fits(&self, tokens: usize, width: usize) -> bool {
-        self.pairs * 2 == width && self.angles.len() == tokens * self.pairs
+        self.pairs * 2 <= width && self.angles.len() == tokens * self.pairs
     }
 
-    /// Rotates a query or key by its token's angles and scales it. Channels i and i + width / 2
-    /// form a pair, as in transformers.
+    /// Rotates a query or key by its token's angles and scales it. Channels i and i + (number of
+    /// pairs) form a pair, as in transformers; those behind the pairs are only scaled.
     pub(super) fn rotate(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
-        let (first, second) = head.split_at(self.pairs);
-        let (first_out, second_out) = out.split_at_mut(self.pairs);
+        let (turned, kept) = head.split_at(2 * self.pairs);
+        let (turned_out, kept_out) = out.split_at_mut(2 * self.pairs);
+        for (out, value) in kept_out.iter_mut().zip(kept) {
+            *out = value * scale;
+        }
+        let (first, second) = turned.split_at(self.pairs);
+        let (first_out, second_out) = turned_out.split_at_mut(self.pairs);
         let turns = &self.angles[token * self.pairs..(token + 1) * self.pairs];
         let pairs = first
             .iter()
@@ -250,6 +256,21 @@ mod tests {
             [0, 1, 2].map(|axis| published.iter().filter(|found| **found == axis).count()),
             [24, 20, 20]
         );
+    }
+
+    #[test]
+    fn channels_behind_the_pairs_are_only_scaled() {
+        let rows = |width| {
+            let table = RotaryEmbedding::new(&Rope::default(), width, 64);
+            table.rows(&[[5; 3]], 0).unwrap()
+        };
+        let head = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
+        let (mut part, mut whole) = ([0.0; 8], [0.0; 4]);
+        assert!(rows(4).fits(1, 8) && !rows(8).fits(1, 4));
+        rows(4).rotate(0, &head, 2.0, &mut part);
+        rows(4).rotate(0, &head[..4], 2.0, &mut whole);
+        assert_eq!(part[..4], whole);
+        assert_eq!(part[4..], [10.0, 12.0, 14.0, 16.0]);
     }
 
     #[test]

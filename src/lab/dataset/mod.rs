@@ -21,9 +21,11 @@ pub use count::Counts;
 pub(crate) use label::LabeledState;
 pub use messages::{MessageModel, check_messages, write_message_card, write_messages};
 pub use reward::{Reward, RewardError, RewardKind, RewardOutcome, rewards};
+pub(crate) use scenes::scenarios;
 pub(crate) use scenes::training_scenarios;
 pub use shard::{FORMAT, Meta, ShardError};
 pub use state_name::{StateError, StateName};
+pub(crate) use states::{VisitedState, walk};
 
 use image::RgbImage;
 use planagent_agent::environment::{BevError, BevView};

@@ -52,7 +52,7 @@ pub(crate) fn training_scenarios(seed: u64, count: usize) -> Vec<ScenarioRef> {
 }
 
 /// The scenarios of a shard.
-pub(super) fn scenarios(
+pub(crate) fn scenarios(
     split: Split,
     shard: usize,
     settings: &Settings<'_>,

@@ -32,25 +32,25 @@ const RETHINK: f64 = 0.4;
 const LATER: [usize; 2] = [10, 20];
 
 /// A state that a walk through a scenario comes to, with what the search found there.
-pub(super) struct VisitedState<'a> {
-    pub(super) simulation: &'a ClosedLoop<'a>,
-    pub(super) challenge: Challenge,
-    pub(super) graph: &'a LaneGraph,
-    pub(super) facts: &'a SceneFacts,
+pub(crate) struct VisitedState<'a> {
+    pub(crate) simulation: &'a ClosedLoop<'a>,
+    pub(crate) challenge: Challenge,
+    pub(crate) graph: &'a LaneGraph,
+    pub(crate) facts: &'a SceneFacts,
     /// What the search tried.
-    pub(super) tried: &'a [Candidate],
-    pub(super) best: &'a Candidate,
+    pub(crate) tried: &'a [Candidate],
+    pub(crate) best: &'a Candidate,
     /// The BEV map in the view of the settings.
-    pub(super) image: &'a RgbImage,
+    pub(crate) image: &'a RgbImage,
     /// Grids of the state, now and [`LATER`].
-    pub(super) occupancy: &'a [String; 3],
+    pub(crate) occupancy: &'a [String; 3],
     /// The codes that controlled the ego before, each with its iterations; none where a model did.
-    pub(super) driven: &'a [(PlannerCode, usize)],
+    pub(crate) driven: &'a [(PlannerCode, usize)],
 }
 
 impl VisitedState<'_> {
     /// Time after the start of the scenario, seconds.
-    pub(super) fn time_s(&self) -> f64 {
+    pub(crate) fn time_s(&self) -> f64 {
         self.simulation.iteration() as f64 * planagent_world::STEP_S
     }
 }
@@ -114,11 +114,12 @@ pub(super) fn label_scenario(
 }
 
 /// What is made of a visited state, perhaps with feedback on a rejected code.
-type Make<'m, T> = dyn Fn(&VisitedState<'_>, Option<Feedback>) -> Result<T, PromptError> + 'm;
+pub(crate) type Make<'m, T> =
+    dyn Fn(&VisitedState<'_>, Option<Feedback>) -> Result<T, PromptError> + 'm;
 
 /// Makes something of each state of one scenario, perhaps with feedback on a rejected code. The same
 /// settings lead to the same states, whatever is made of them.
-pub(super) fn walk<T>(
+pub(crate) fn walk<T>(
     spec: &Spec,
     settings: &Settings<'_>,
     make: &Make<'_, T>,

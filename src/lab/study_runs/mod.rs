@@ -8,6 +8,7 @@ mod twins;
 
 pub use request::StudiesRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
+pub(crate) use twins::{answers_folder, judge as judge_twins};
 
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations,
@@ -79,6 +80,13 @@ impl<'a> Studies<'a> {
         })
     }
 
+    /// The same with at most so many scenes of a suite, evenly from their types.
+    #[must_use]
+    pub(crate) fn limited(mut self, limit: usize) -> Self {
+        self.suites.limit = Some(limit);
+        self
+    }
+
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
@@ -122,47 +130,9 @@ impl<'a> Studies<'a> {
         studies
             .iter()
             .try_for_each(|study| check_writable(&self.folder(&study.name)))?;
-        let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
-        let mut planned = Vec::new();
-        for study in studies {
-            let mut suites = Vec::new();
-            for suite in self
-                .suites
-                .select(&study.name, &study.suites, study.starts)?
-            {
-                let names = study
-                    .variants
-                    .iter()
-                    .map(|variant| runs.add(&suite, variant));
-                let names = names.collect::<Result<_, RunnerError>>()?;
-                suites.push((suite, names));
-            }
-            planned.push(Planned { study, suites });
-        }
-        if planned.iter().all(|planned| planned.suites.is_empty()) {
-            return Err(suites::no_recordings());
-        }
-        self.suites.note_lacking();
+        let (planned, runs) = self.plan(studies)?;
         let parameters = runs.parameters();
-        let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
-        let (runs, completed, left) = open.counts();
-        (self.listener)(Event::Planned {
-            runs,
-            completed,
-            left,
-        });
-        if left > 0 {
-            open.probe()?;
-            open.simulate_first()?;
-            let left = open.counts().2;
-            if left > 0 {
-                (self.listener)(Event::Estimated {
-                    left,
-                    time: open.time_left(),
-                });
-            }
-        }
-        let rows = open.complete(started)?;
+        let rows = self.complete(runs, started)?;
 
         let mut results = Vec::new();
         let mut missing: Vec<MissingTokens> = Vec::new();
@@ -190,6 +160,79 @@ impl<'a> Studies<'a> {
             without_plan: all().filter(|row| row.is_without_plan()).count(),
             missing,
         })
+    }
+
+    /// The runs of studies on their suites.
+    fn plan(
+        &mut self,
+        studies: Vec<Study>,
+    ) -> Result<(Vec<Planned>, PlannedRuns<'a>), RunnerError> {
+        let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
+        let mut planned = Vec::new();
+        for study in studies {
+            let mut suites = Vec::new();
+            for suite in self
+                .suites
+                .select(&study.name, &study.suites, study.starts)?
+            {
+                let names = study
+                    .variants
+                    .iter()
+                    .map(|variant| runs.add(&suite, variant));
+                let names = names.collect::<Result<_, RunnerError>>()?;
+                suites.push((suite, names));
+            }
+            planned.push(Planned { study, suites });
+        }
+        if planned.iter().all(|planned| planned.suites.is_empty()) {
+            return Err(suites::no_recordings());
+        }
+        self.suites.note_lacking();
+        Ok((planned, runs))
+    }
+
+    /// Simulates what is left of runs; gives the simulations of each.
+    fn complete(
+        &self,
+        runs: PlannedRuns<'a>,
+        started: Instant,
+    ) -> Result<BTreeMap<String, Vec<SimulationRow>>, RunnerError> {
+        let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
+        let (runs, completed, left) = open.counts();
+        (self.listener)(Event::Planned {
+            runs,
+            completed,
+            left,
+        });
+        if left > 0 {
+            open.probe()?;
+            open.simulate_first()?;
+            let left = open.counts().2;
+            if left > 0 {
+                (self.listener)(Event::Estimated {
+                    left,
+                    time: open.time_left(),
+                });
+            }
+        }
+        open.complete(started)
+    }
+
+    /// Simulates what is left of the runs of a study that no file names, and writes no results of
+    /// it; gives the simulations of its suites.
+    pub(crate) fn simulate_variants(
+        &mut self,
+        study: Study,
+    ) -> Result<Vec<SuiteSimulations>, RunnerError> {
+        let started = Instant::now();
+        check_writable(&self.request.out.join(RUNS))?;
+        let (planned, runs) = self.plan(vec![study])?;
+        let parameters = runs.parameters();
+        let rows = self.complete(runs, started)?;
+        let suites = planned.iter().flat_map(|planned| &planned.suites);
+        Ok(suites
+            .map(|(suite, names)| simulations(suite, names, &rows, &parameters))
+            .collect())
     }
 
     /// The models of the bench that is named.

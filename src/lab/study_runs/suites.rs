@@ -39,6 +39,8 @@ pub(super) struct Suites<'a> {
     found: BTreeMap<String, Rc<SelectedSuite>>,
     /// Studies that lack recordings.
     lacking: Vec<String>,
+    /// Maximum number of scenes of a suite, taken evenly from their types.
+    pub(super) limit: Option<usize>,
 }
 
 impl<'a> Suites<'a> {
@@ -54,6 +56,7 @@ impl<'a> Suites<'a> {
             roots,
             found: BTreeMap::new(),
             lacking: Vec::new(),
+            limit: None,
         })
     }
 
@@ -129,12 +132,14 @@ impl<'a> Suites<'a> {
         } = select(
             &words,
             &splits,
-            &Sample::default(),
+            &self.limit.map_or_else(Sample::default, Sample::limited),
             &self.readers,
             self.listener,
         )?;
         if self.request.quick {
             sources = Quick::DEFAULT.select(sources);
+        }
+        if self.request.quick || self.limit.is_some() {
             (words, splits) = (
                 sources.iter().map(ToString::to_string).collect(),
                 Vec::new(),

@@ -3,12 +3,13 @@
 use super::request::StudiesRequest;
 use super::runs::{DIGEST, relevant};
 use crate::dataset::twins::PairName;
-use crate::report::{StudyFolder, TwinRecords, twin_markdown};
+use crate::report::{Records, StudyFolder, twin_markdown};
 use crate::twins::{self, NAMES, PairRecord, TwinResults};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::planner_registry::PlannerNeeds;
 use planagent_runs::report::{ScenarioList, json_value, markdown_block, markdown_line};
 use planagent_runs::runner::Config;
+use planagent_runs::runner::LoadedModel;
 use planagent_runs::runner::RunnerError;
 use planagent_runs::runner::commands::Commands;
 use planagent_runs::runner::model::{OpenModel, agent_parts};
@@ -17,11 +18,13 @@ use planagent_runs::runner::{Event, Listener};
 use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Its title.
 pub(super) const TITLE: &str = "Text twins: the model's first code, Reflection off";
+/// Name of the file with its answers.
+const PAIRS: &str = "pairs.jsonl";
 /// With --quick, pairs of each kind.
 const QUICK: usize = 2;
 
@@ -55,7 +58,7 @@ pub(super) fn lists(request: &StudiesRequest) -> Result<Vec<(String, Vec<PairNam
 }
 
 /// Asks the model in the pairs of a list; those that it answered before stay.
-pub(super) fn judge(
+pub(crate) fn judge(
     (name, pairs): &(String, Vec<PairName>),
     config: &Config,
     runs: &Path,
@@ -63,39 +66,8 @@ pub(super) fn judge(
 ) -> Result<TwinResults, RunnerError> {
     let loaded = OpenModel::open(config, listener)?.with_prompts(config)?;
     let words: Vec<String> = pairs.iter().map(ToString::to_string).collect();
-    let blake3 = ScenarioList::digest(&words);
-    let list = ScenarioList {
-        count: words.len(),
-        blake3: blake3.clone(),
-        words: words.clone(),
-        ..ScenarioList::default()
-    };
-    let planner = PlannerName::PLAN_AGENT;
-    let settings = relevant(config.clone(), planner.as_str(), PlannerNeeds::Model);
-    let planners = vec![planner.to_string()];
-    let commands = Commands::default();
-    let subject = RunSubject {
-        planners,
-        commands: &commands,
-        challenges: Vec::new(),
-        scenarios: list,
-        data: BTreeMap::new(),
-    };
-    // Its digest names the folder: answers to other prompts are never taken for these.
-    let manifest = manifest(subject, Some(&loaded), &settings)?;
-    let inputs = format!(
-        "{:?}",
-        manifest
-            .inputs
-            .as_ref()
-            .expect("a new manifest has its inputs")
-    );
-    let digest = ScenarioList::digest([manifest.digest(), inputs]);
-    let folder = runs.join(format!(
-        "{name}-{}",
-        digest.get(..DIGEST).unwrap_or(&digest)
-    ));
-    let (records, completed) = TwinRecords::open(&folder)?;
+    let (folder, blake3) = answers_folder(runs, name, &words, &loaded, config)?;
+    let (records, completed) = Records::<PairRecord>::open(&folder, PAIRS)?;
     let mut known: BTreeMap<String, PairRecord> = completed
         .into_iter()
         .map(|record| (record.pair.clone(), record))
@@ -105,6 +77,7 @@ pub(super) fn judge(
         .filter(|pair| !known.contains_key(&pair.to_string()))
         .collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
+    // A server need not be there for what it answered before.
     if !left.is_empty() {
         loaded.probe(config, listener)?;
     }
@@ -132,6 +105,48 @@ pub(super) fn judge(
     );
     let ordered: Vec<PairRecord> = words.iter().filter_map(|word| known.remove(word)).collect();
     Ok(TwinResults::new(name, blake3, &ordered))
+}
+
+/// The folder of a model's answers to questions that these words name, and BLAKE3 of the words. Its
+/// name has the digest of all that answers depend on: those to other prompts are never taken for
+/// these.
+pub(crate) fn answers_folder(
+    runs: &Path,
+    name: &str,
+    words: &[String],
+    loaded: &LoadedModel,
+    config: &Config,
+) -> Result<(PathBuf, String), RunnerError> {
+    let blake3 = ScenarioList::digest(words);
+    let list = ScenarioList {
+        count: words.len(),
+        blake3: blake3.clone(),
+        words: words.to_vec(),
+        ..ScenarioList::default()
+    };
+    let planner = PlannerName::PLAN_AGENT;
+    let settings = relevant(config.clone(), planner.as_str(), PlannerNeeds::Model);
+    let planners = vec![planner.to_string()];
+    let commands = Commands::default();
+    let subject = RunSubject {
+        planners,
+        commands: &commands,
+        challenges: Vec::new(),
+        scenarios: list,
+        data: BTreeMap::new(),
+    };
+    let manifest = manifest(subject, Some(loaded), &settings)?;
+    // Digests of prompts and model files, which a manifest keeps apart.
+    let inputs = format!(
+        "{:?}",
+        manifest
+            .inputs
+            .as_ref()
+            .expect("a new manifest has its inputs")
+    );
+    let digest = ScenarioList::digest([manifest.digest(), inputs]);
+    let digest = digest.get(..DIGEST).unwrap_or(&digest);
+    Ok((runs.join(format!("{name}-{digest}")), blake3))
 }
 
 /// Writes the results; `command` made them.

@@ -216,6 +216,16 @@ impl GgufAdapter {
             change
         };
         let canonical = layout.canonical_name(&self.header, target)?;
+        if layout.heads_are_tiled()
+            && let Some(name) = canonical
+                .as_deref()
+                .filter(|name| name.contains(".linear_attn."))
+        {
+            let problem = format!(
+                "changes {name}, whose heads llama.cpp has in another order; take the adapter's folder and the model's"
+            );
+            return Err(broken(problem));
+        }
         Ok(Entry {
             // A name that no tensor has matches nothing, and the error says so.
             target: Target::Canonical(canonical.unwrap_or_else(|| target.to_owned())),

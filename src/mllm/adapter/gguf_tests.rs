@@ -394,3 +394,45 @@ fn files_of_other_kinds_and_models_are_refused_by_name() {
         1
     );
 }
+
+/// llama.cpp has the value heads of a delta rule in another order than a folder.
+#[test]
+fn an_adapter_of_a_delta_rule_fits_a_folder_from_a_folder_alone() {
+    let base = fixture("tiny_qwen3_5");
+    let module = "language_model.layers.0.linear_attn.in_proj_qkv";
+    let checkpoint = Checkpoint::open(&place(&base), None, &Families::default()).unwrap();
+    let found = checkpoint.weights.base_tensor(&format!("{module}.weight"));
+    let shape: [usize; 2] = found.unwrap().shape().try_into().unwrap();
+    let [a, b] = pair(&format!("model.{module}"), shape, 4);
+    let folder = peft(&json!({}), &[a.clone(), b.clone()]);
+    let merged = adapted(&base, folder.path(), None).unwrap();
+    assert_eq!(merged.weights.report().adapter.as_ref().unwrap().tensors, 1);
+    let said = |base: &Path, adapter: &Path| {
+        let adapted = adapted(base, adapter, None).map(|_| ());
+        adapted.unwrap_err().to_string()
+    };
+    let gguf = base.join("gguf/model.gguf");
+    let problem = said(&gguf, folder.path());
+    assert!(
+        problem.contains("in another order") && problem.contains(module),
+        "{problem}"
+    );
+    let work = tempfile::tempdir().unwrap();
+    let file = work.path().join("adapter.gguf");
+    let mut metadata = usual();
+    metadata.retain(|(key, _)| *key != "general.architecture");
+    metadata.push(("general.architecture", Value::String("qwen35".to_owned())));
+    let renamed = |made: &Made, half: &str| {
+        let name = format!("blk.0.attn_qkv.weight.{half}");
+        (name, made.1.clone(), made.2.clone())
+    };
+    write(
+        &file,
+        &metadata,
+        &[renamed(&a, "lora_a"), renamed(&b, "lora_b")],
+    );
+    for base in [&base, &gguf] {
+        let problem = said(base, &file);
+        assert!(problem.contains("in another order"), "{problem}");
+    }
+}

@@ -5,7 +5,9 @@ use super::change::{Change, Entry, Rows, Target};
 use super::merge::MergedTensor;
 use super::source::AdapterFiles;
 use crate::MllmError;
-use crate::checkpoint::{BaseTensor, MergedAdapter, TensorPlace, TensorSource, Weights};
+use crate::checkpoint::{
+    BaseTensor, MergedAdapter, TensorPlace, TensorSource, Weights, may_add_one,
+};
 use crate::gguf::GgufLayout;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -229,7 +231,13 @@ fn prepare(
     let Some(base) = weights.base_tensor(tied.as_deref().unwrap_or(name)) else {
         return Err(refused(path, format!("the model has no tensor {name}")));
     };
-    let has_one = weights.norms_have_one() && name.ends_with("norm.weight");
+    if weights.heads_are_tiled() && name.contains(".linear_attn.") {
+        let problem = format!(
+            "it changes {name}, whose heads the GGUF file has in another order; take the model's folder"
+        );
+        return Err(refused(path, problem));
+    }
+    let has_one = weights.norms_have_one() && may_add_one(name);
     if has_one && changes.iter().any(|(_, change)| change.order() == 0) {
         let problem = format!(
             "it has {name} of its own, which the GGUF file stores with 1 added; take the model's folder"

@@ -28,6 +28,9 @@ pub(crate) enum DecoderType {
     Gemma3,
     /// `Lfm2Config`: most layers convolve the last positions in the place of attention.
     Lfm2,
+    /// `Qwen3_5TextConfig`: most layers have a gated delta rule in the place of attention.
+    #[serde(rename = "qwen3_5_text")]
+    Qwen35,
 }
 
 impl DecoderType {
@@ -40,6 +43,7 @@ impl DecoderType {
             "Qwen3ForCausalLM" => Some(Self::Qwen3),
             "Gemma3ForCausalLM" => Some(Self::Gemma3),
             "Lfm2ForCausalLM" => Some(Self::Lfm2),
+            "Qwen3_5ForCausalLM" => Some(Self::Qwen35),
             _ => None,
         }
     }
@@ -79,13 +83,17 @@ impl DecoderType {
                 "vocab_size": 65_536, "hidden_size": 2560, "intermediate_size": 12_288, "num_key_value_heads": 8,
                 "max_position_embeddings": 128_000, "norm_eps": 1e-5, "tie_word_embeddings": true,
             }),
+            Self::Qwen35 => json!({
+                "vocab_size": 248_320, "intermediate_size": 12_288, "num_attention_heads": 16, "num_key_value_heads": 4,
+                "head_dim": 256, "max_position_embeddings": 32_768,
+            }),
         }
     }
 
     /// The base of the rotary embedding (`default_theta` of the class).
     pub(super) fn theta(self) -> f64 {
         match self {
-            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => 10_000.0,
+            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Qwen35 => 10_000.0,
             Self::Qwen25Vl | Self::Gemma3 | Self::Lfm2 => 1_000_000.0,
             Self::Qwen3Vl => 500_000.0,
         }
@@ -100,12 +108,19 @@ impl DecoderType {
             }
             Self::Qwen25Vl => Some([16, 24, 24]),
             Self::Qwen3Vl => Some([24, 20, 20]),
+            Self::Qwen35 => Some([11, 11, 10]),
         }
     }
 
     /// Whether pairs of the three axes take turns.
     pub(super) fn interleaved(self) -> bool {
-        self == Self::Qwen3Vl
+        matches!(self, Self::Qwen3Vl | Self::Qwen35)
+    }
+
+    /// The part of a head that is rotated, where the class rotates a part
+    /// (`partial_rotary_factor`).
+    pub(super) fn rotated_part(self) -> Option<f64> {
+        (self == Self::Qwen35).then_some(0.25)
     }
 
     pub(super) fn is_qwen2(self) -> bool {
@@ -113,13 +128,13 @@ impl DecoderType {
     }
 
     pub(super) fn is_qwen(self) -> bool {
-        self.is_qwen2() || matches!(self, Self::Qwen3 | Self::Qwen3Vl)
+        self.is_qwen2() || matches!(self, Self::Qwen3 | Self::Qwen3Vl | Self::Qwen35)
     }
 
     /// Keys of the class that no code reads.
     pub(super) fn neutral(self) -> &'static [(&'static str, Neutral)] {
         const ACT: (&str, Neutral) = ("hidden_act", Neutral::Text(&["silu", "swish"]));
-        // No class of these types rotates a part of a head, but others of Llama's kind do.
+        // Where the class does not rotate a part of a head, others of Llama's kind do.
         const WHOLE: (&str, Neutral) = ("partial_rotary_factor", Neutral::Number(1.0));
         const FULL: (&str, Neutral) = ("layer_types", Neutral::Each("full_attention"));
         const GEMMA: &[(&str, Neutral)] = &[
@@ -135,6 +150,8 @@ impl DecoderType {
         } else if self == Self::Lfm2 {
             // The activation is no key of the class.
             &[WHOLE]
+        } else if self == Self::Qwen35 {
+            &[ACT]
         } else if self.is_qwen() {
             &[ACT, WHOLE, FULL]
         } else {

@@ -1,10 +1,11 @@
-//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2, Qwen 3, Gemma 3 and LFM2.
+//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen, Gemma 3 and LFM2.
 
 use super::config::{
     ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
 };
 use super::convolution_config::{ConvolutionConfig, feed_forward_width};
 use super::decoder_type::DecoderType;
+use super::delta_config::DeltaConfig;
 use super::gemma_config::GemmaConfig;
 use super::rope_config::{ReadRope, read_rope};
 use super::weights::Weights;
@@ -16,7 +17,7 @@ use serde::Deserialize;
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
 /// of queries and keys, Gemma 3 (`Gemma3TextConfig`) what [`Self::gemma`] has, and LFM2
-/// (`Lfm2Config`) layers without attention.
+/// (`Lfm2Config`) and Qwen 3.5 (`Qwen3_5TextConfig`) layers without attention.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
 #[expect(
@@ -53,6 +54,9 @@ pub struct LlamaConfig {
     pub rms_norm_eps: f64,
     #[serde(skip)]
     pub(crate) rope: Rope,
+    /// Channels of a head that are rotated, the first ones.
+    #[serde(skip)]
+    pub(crate) rotated: usize,
     /// Whether the projections to queries, keys and values have biases.
     pub attention_bias: bool,
     /// Whether the attention's output projection has a bias.
@@ -61,6 +65,12 @@ pub struct LlamaConfig {
     /// Whether queries and keys are normalized in each head.
     #[serde(skip)]
     pub(crate) head_norms: bool,
+    /// Whether the attention's output is multiplied by a gate that each query has beside it.
+    #[serde(skip)]
+    pub(crate) output_gate: bool,
+    /// Whether norms multiply by 1 + weight.
+    #[serde(skip)]
+    pub(crate) norms_add_one: bool,
     /// Whether the feed-forward layers have biases.
     pub mlp_bias: bool,
     /// Positions that a token sees, its own among them; none for all.
@@ -74,6 +84,9 @@ pub struct LlamaConfig {
     /// The layers that convolve the last positions in the place of attention.
     #[serde(skip)]
     pub(crate) convolution: Option<ConvolutionConfig>,
+    /// The layers with a gated delta rule in the place of attention.
+    #[serde(skip)]
+    pub(crate) delta: Option<DeltaConfig>,
 }
 
 /// The defaults of `LlamaConfig`. Zero heads and widths are set once the others are known.
@@ -90,14 +103,18 @@ impl Default for LlamaConfig {
             context: 2048,
             rms_norm_eps: 1e-6,
             rope: Rope::default(),
+            rotated: 0,
             attention_bias: false,
             output_bias: false,
             head_norms: false,
+            output_gate: false,
+            norms_add_one: false,
             mlp_bias: false,
             window: None,
             tie_word_embeddings: false,
             gemma: None,
             convolution: None,
+            delta: None,
         }
     }
 }
@@ -138,7 +155,11 @@ impl LlamaConfig {
         check_ranges(&text, &[("num_attention_heads", config.heads, MAX_LAYERS)])?;
         let context = [("max_position_embeddings", config.context, MAX_CONTEXT)];
         check_ranges(&text, &context)?;
-        let ReadRope { rope, context } = read_rope(&text, kind, config.context)?;
+        let ReadRope {
+            rope,
+            context,
+            part,
+        } = read_rope(&text, kind, config.context)?;
         (config.rope, config.context) = (rope, context);
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
@@ -153,6 +174,8 @@ impl LlamaConfig {
             }
             config.head_dim = config.hidden / config.heads;
         }
+        // Rounded off, as in transformers; the small number is far below a channel.
+        config.rotated = (config.head_dim as f64 * part + 1e-6) as usize;
         if kind.is_qwen() {
             check_no_window(&text, config.layers)?;
         }
@@ -162,6 +185,11 @@ impl LlamaConfig {
         if kind == DecoderType::Lfm2 {
             config.read_lfm2(&text)?;
         }
+        if kind == DecoderType::Qwen35 {
+            config.delta = Some(DeltaConfig::read(&text, config.layers)?);
+            config.output_gate = true;
+        }
+        config.norms_add_one = matches!(kind, DecoderType::Gemma3 | DecoderType::Qwen35);
         if kind != DecoderType::Mistral {
             config.window = None;
         }
@@ -197,12 +225,20 @@ impl LlamaConfig {
 
     /// What layers keep that keep no keys and values.
     pub(crate) fn own_state(&self) -> OwnState {
+        let count =
+            |is_in: &dyn Fn(usize) -> bool| (0..self.layers).filter(|layer| is_in(*layer)).count();
+        if let Some(delta) = &self.delta {
+            return OwnState {
+                layers: count(&|layer| delta.is_in(layer)),
+                state: delta.state(),
+                row: delta.row(),
+            };
+        }
         let Some(convolution) = &self.convolution else {
             return OwnState::default();
         };
-        let convolve = |layer: &usize| convolution.is_in(*layer);
         OwnState {
-            layers: (0..self.layers).filter(convolve).count(),
+            layers: count(&|layer| convolution.is_in(layer)),
             state: (convolution.taps - 1).saturating_mul(self.hidden),
             row: self.hidden,
         }
@@ -243,6 +279,7 @@ impl LlamaConfig {
             heads,
             kv_heads,
             head_dim,
+            rotated,
             ..
         } = self;
         if !heads.is_multiple_of(*kv_heads) {
@@ -257,22 +294,28 @@ impl LlamaConfig {
                 format!("{head_dim} is odd; rotary embeddings need pairs"),
             ));
         }
+        if !rotated.is_multiple_of(2) || *rotated == 0 {
+            let problem = format!(
+                "{rotated} of {head_dim} channels are rotated; an even number above 0 is needed"
+            );
+            return Err(("partial_rotary_factor", problem));
+        }
         if let Some(RotarySections { lengths, .. }) = self.rope.sections
             && lengths
                 .iter()
                 .try_fold(0, |sum: usize, length| sum.checked_add(*length))
-                != Some(head_dim / 2)
+                != Some(rotated / 2)
         {
             let problem = format!(
                 "{lengths:?} do not add up to the {} pairs of a head",
-                head_dim / 2
+                rotated / 2
             );
             return Err(("mrope_section", problem));
         }
         // The first frequencies that are not finite would show as logits that are not, thousands of
         // products later.
         let usable = |frequency: &f32| frequency.is_finite() && *frequency > 0.0;
-        if !frequencies(&self.rope, *head_dim).iter().all(usable) {
+        if !frequencies(&self.rope, *rotated).iter().all(usable) {
             let problem = format!(
                 "{} gives no usable frequencies for heads of {head_dim} channels",
                 self.rope.theta

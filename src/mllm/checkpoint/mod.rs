@@ -3,6 +3,7 @@
 mod config;
 mod convolution_config;
 mod decoder_type;
+mod delta_config;
 mod files;
 mod finite;
 mod forecast;
@@ -26,6 +27,7 @@ mod weights;
 pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
 pub(crate) use convolution_config::ConvolutionConfig;
 pub(crate) use decoder_type::DecoderType;
+pub(crate) use delta_config::DeltaConfig;
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
@@ -42,6 +44,7 @@ pub(crate) use vision_config::{TowerType, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile, in_four_dimensions};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_kernel, is_matrix};
 pub use weights::Weights;
+pub(crate) use weights::may_add_one;
 
 use super::MllmError;
 use serde_json::Value;

@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 22] = [
+const DECODER: [(&str, &str); 30] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -18,6 +18,7 @@ const DECODER: [(&str, &str); 22] = [
     ("rope_scaling.factor", "rope.scaling.factor"),
     ("rope_scaling.type", "rope.scaling.type"),
     ("rope_scaling.mrope_section", "rope.dimension_sections"),
+    ("mrope_section", "rope.dimension_sections"),
     (
         "rope_scaling.original_max_position_embeddings",
         "rope.scaling.original_context_length",
@@ -34,6 +35,13 @@ const DECODER: [(&str, &str); 22] = [
     ("norm_eps", "attention.layer_norm_rms_epsilon"),
     ("layer_types", "attention.head_count_kv"),
     ("conv_L_cache", "shortconv.l_cache"),
+    ("partial_rotary_factor", "rope.dimension_count"),
+    ("full_attention_interval", "full_attention_interval"),
+    ("linear_num_key_heads", "ssm.group_count"),
+    ("linear_num_value_heads", "ssm.time_step_rank"),
+    ("linear_key_head_dim", "ssm.state_size"),
+    ("linear_value_head_dim", "ssm.inner_size"),
+    ("linear_conv_kernel_dim", "ssm.conv_kernel"),
 ];
 /// Keys of `vision_config`, and those of a tower behind `clip.vision.`.
 const TOWER: [(&str, &str); 16] = [

@@ -25,6 +25,8 @@ pub(super) struct ReadRope {
     pub rope: Rope,
     /// Positions that a chat may have.
     pub context: usize,
+    /// The part of a head that is rotated.
+    pub part: f64,
 }
 
 /// Reads `rope_scaling` (before transformers 5) or `rope_parameters`, with `rope_theta` in it or
@@ -49,8 +51,7 @@ pub(super) fn read_rope(
         }
         None => text.child_or_empty("rope_parameters")?,
     };
-    // A key that this code would pass over changes every answer, so it is refused.
-    section.only_neutral(&[("partial_rotary_factor", Neutral::Number(1.0))])?;
+    let part = rotated_part(text, &section, kind)?;
     let required = |key: &str| {
         section
             .positive(key)?
@@ -99,7 +100,28 @@ pub(super) fn read_rope(
     Ok(ReadRope {
         context: lengthened(scaling, context),
         rope,
+        part,
     })
+}
+
+/// The part of a head that is rotated: that of the section, beside it, or of the class.
+fn rotated_part(
+    text: &ConfigObject<'_>,
+    section: &ConfigObject<'_>,
+    kind: DecoderType,
+) -> Result<f64, MllmError> {
+    const KEY: &str = "partial_rotary_factor";
+    let Some(default) = kind.rotated_part() else {
+        // A key that this code would pass over changes every answer, so it is refused.
+        section.only_neutral(&[(KEY, Neutral::Number(1.0))])?;
+        return Ok(1.0);
+    };
+    let place = if section.contains(KEY) { section } else { text };
+    let part = place.positive(KEY)?.unwrap_or(default);
+    if part > 1.0 {
+        return Err(place.error(KEY, format!("expected a number of at most 1, found {part}")));
+    }
+    Ok(part)
 }
 
 /// Largest factor by which a context is lengthened. Published ones are at most 64.

@@ -30,6 +30,8 @@ pub struct Weights {
     pub(super) plan: WeightFormatPlan,
     /// Whether the weights of norms are stored with 1 added, as llama.cpp stores those of Gemma.
     norms_have_one: bool,
+    /// Whether the value heads of a key lie apart, as llama.cpp stores those of Qwen 3.5.
+    heads_are_tiled: bool,
     pub(super) report: LoadReport,
     blake3: String,
     access: TensorAccess,
@@ -81,6 +83,7 @@ impl Weights {
             tensors: BTreeMap::new(),
             plan: WeightFormatPlan { tied: true, ..plan },
             norms_have_one: false,
+            heads_are_tiled: false,
             report: LoadReport {
                 quantize: plan.quantize,
                 ..LoadReport::default()
@@ -171,6 +174,15 @@ impl Weights {
 
     pub(crate) fn norms_have_one(&self) -> bool {
         self.norms_have_one
+    }
+
+    /// Says that the value heads of a key lie apart in layers with a delta rule.
+    pub(crate) fn set_heads_are_tiled(&mut self) {
+        self.heads_are_tiled = true;
+    }
+
+    pub(crate) fn heads_are_tiled(&self) -> bool {
+        self.heads_are_tiled
     }
 
     pub(crate) fn note(&mut self, note: String) {
@@ -526,6 +538,15 @@ impl Weights {
             value,
         }
     }
+}
+
+/// Whether a tensor is the weight of a norm that multiplies by 1 more, in decoders that have such
+/// norms. Those of a tower, and of what a delta rule gives, do not.
+pub(crate) fn may_add_one(canonical: &str) -> bool {
+    canonical.ends_with("norm.weight")
+        && !canonical.starts_with("vision_tower.")
+        && !canonical.ends_with(".linear_attn.norm.weight")
+        && canonical != "multi_modal_projector.norm.weight"
 }
 
 pub(super) fn f32_bytes(shape: &[usize]) -> u64 {

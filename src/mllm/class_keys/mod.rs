@@ -9,7 +9,7 @@ use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{
     MllmError, cogvlm, gemma3, internvl, lfm2_vl, llava, llava_next, llava_onevision, qwen2_5_vl,
-    qwen2_vl, qwen3_vl, smolvlm, text_only,
+    qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
 };
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -75,10 +75,11 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "qwen2.5-vl" => qwen2_5_vl::read_files(&files),
         "qwen2-vl" => qwen2_vl::read_files(&files),
         "qwen3-vl" => qwen3_vl::read_files(&files),
+        "qwen3.5" => qwen3_5::read_files(&files),
         "llava-onevision" => llava_onevision::read_files(&files),
         "gemma3" => gemma3::read_files(&files),
         "lfm2-vl" => lfm2_vl::read_files(&files),
-        "gemma3_text" | "lfm2" => text_only::read_files(&files),
+        "gemma3_text" | "lfm2" | "qwen3_5_text" => text_only::read_files(&files),
         other => panic!("{other} is no family"),
     }
 }

@@ -140,8 +140,8 @@ pub(crate) fn rms_norm(
     scaled_norm(weights, name, config.hidden, config, 1.0)
 }
 
-/// Takes a norm of rows of this width, whose results are multiplied by `scale`. Gemma 3 multiplies
-/// by 1 + weight.
+/// Takes a norm of rows of this width, whose results are multiplied by `scale`. Gemma 3 and
+/// Qwen 3.5 multiply by 1 + weight.
 pub(super) fn scaled_norm(
     weights: &mut Weights,
     name: &str,
@@ -149,7 +149,7 @@ pub(super) fn scaled_norm(
     config: &LlamaConfig,
     scale: f32,
 ) -> Result<RmsNorm, MllmError> {
-    if config.gemma.is_none() {
+    if !config.norms_add_one {
         return weights.take_rms_norm(name, width, config.rms_norm_eps);
     }
     let offset = if weights.norms_have_one() { 0.0 } else { 1.0 };

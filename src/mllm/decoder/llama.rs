@@ -1,4 +1,4 @@
-//! The layer of Llama, Mistral, Qwen 2, Qwen 3, Gemma 3 and LFM2.
+//! The layer of Llama, Mistral, Qwen 2, 3 and 3.5, Gemma 3 and LFM2.
 
 use super::cache::{DecoderCache, LayerState};
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};

@@ -1,6 +1,7 @@
 //! The part of a layer that mixes positions.
 
 use super::cache::{DecoderCache, LayerState};
+use super::delta_net::DeltaNet;
 use super::layer::Pass;
 use super::self_attention::SelfAttention;
 use super::short_convolution::ShortConvolution;
@@ -43,6 +44,11 @@ pub(super) fn take(
             convolution,
             name,
         )?));
+    }
+    if let Some(delta) = &config.delta
+        && delta.is_in(layer)
+    {
+        return Ok(Box::new(DeltaNet::take(weights, config, delta, name)?));
     }
     Ok(Box::new(SelfAttention::take(weights, config, layer, name)?))
 }

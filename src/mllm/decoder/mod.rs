@@ -9,10 +9,12 @@ mod attention;
 mod cache;
 #[cfg(test)]
 mod cache_tests;
+mod delta_net;
 mod head_norms;
 mod layer;
 mod llama;
 mod mixer;
+mod output_gate;
 mod recurrence;
 mod self_attention;
 mod short_convolution;
@@ -136,13 +138,13 @@ impl<L: DecoderLayer> Decoder<L> {
         } else {
             Precision::Half
         };
-        let mut rotary = RotaryEmbedding::new(&config.rope, config.head_dim, config.context);
+        let mut rotary = RotaryEmbedding::new(&config.rope, config.rotated, config.context);
         let factors = format!("{prefix}rope_freqs.weight");
         // A configuration that says how frequencies are scaled comes first.
         if config.rope.scaling == RopeScaling::None && weights.contains(&factors) {
             rotary = rotary.divided_by(
                 &weights
-                    .take(&factors, &[config.head_dim / 2])?
+                    .take(&factors, &[config.rotated / 2])?
                     .to_vec1::<f32>()?,
             );
         }
@@ -156,7 +158,7 @@ impl<L: DecoderLayer> Decoder<L> {
             head: Linear::from_matrix(head, None),
             rotary,
             local_rotary: config.gemma.as_ref().map(|gemma| {
-                RotaryEmbedding::new(&gemma.local_rope, config.head_dim, config.context)
+                RotaryEmbedding::new(&gemma.local_rope, config.rotated, config.context)
             }),
             embedding_scale: config.gemma.as_ref().map(|_| (config.hidden as f64).sqrt()),
             precision,

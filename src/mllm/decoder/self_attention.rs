@@ -5,17 +5,21 @@ use super::cache::{DecoderCache, LayerState};
 use super::head_norms::HeadNorms;
 use super::layer::Pass;
 use super::mixer::Mixer;
+use super::output_gate::OutputGate;
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
 use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::attention::Precision;
+use planagent_kernels::pointwise::sigmoid_gated;
 
 /// Causal attention with its projections. Those of queries, keys and values are one matrix. Qwen 3
-/// normalizes the queries and keys of each head.
+/// normalizes the queries and keys of each head, and Qwen 3.5 gates what the heads give.
 #[derive(Debug)]
 pub(super) struct SelfAttention {
     qkv: Linear,
+    /// Of what the heads give, by gates beside the queries.
+    gate: Option<OutputGate>,
     head_norms: Option<HeadNorms>,
     attention: CausalAttention,
     out: Linear,
@@ -31,10 +35,13 @@ impl SelfAttention {
     ) -> Result<Self, MllmError> {
         let queries = config.heads * config.head_dim;
         let keys = config.kv_heads * config.head_dim;
-        let parts = [("q_proj", queries), ("k_proj", keys), ("v_proj", keys)]
+        let gate = config.output_gate.then(|| OutputGate::new(config));
+        let rows = queries + gate.as_ref().map_or(0, OutputGate::width);
+        let parts = [("q_proj", rows), ("k_proj", keys), ("v_proj", keys)]
             .map(|(part, width)| (format!("{name}.self_attn.{part}"), width));
         Ok(Self {
             qkv: weights.take_fused(&parts, config.hidden, config.attention_bias)?,
+            gate,
             head_norms: if config.head_norms {
                 Some(HeadNorms::take(weights, config, name)?)
             } else {
@@ -66,12 +73,20 @@ impl Mixer for SelfAttention {
         pass: &Pass,
         cache: &mut DecoderCache,
     ) -> candle_core::Result<Tensor> {
-        let qkv = self.qkv.forward(x)?;
-        let qkv = match &self.head_norms {
-            Some(norms) => norms.forward(&qkv)?,
-            None => qkv,
-        };
-        self.attention.forward(&qkv, pass, cache)
+        let mut qkv = self.qkv.forward(x)?;
+        let mut gates = None;
+        if let Some(gate) = &self.gate {
+            let parts = gate.split(&qkv)?;
+            (qkv, gates) = (parts.0, Some(parts.1));
+        }
+        if let Some(norms) = &self.head_norms {
+            qkv = norms.forward(&qkv)?;
+        }
+        let mixed = self.attention.forward(&qkv, pass, cache)?;
+        match gates {
+            Some(gates) => sigmoid_gated(&Tensor::cat(&[gates, mixed], 1)?),
+            None => Ok(mixed),
+        }
     }
 
     fn out(&self) -> &Linear {

@@ -34,6 +34,11 @@ impl FakeServer {
         format!("http://{}/v1", self.address)
     }
 
+    /// All requests so far, whole.
+    pub(super) fn bodies(&self) -> String {
+        self.heads.lock().unwrap().concat()
+    }
+
     /// The request lines so far.
     pub(super) fn requests(&self) -> Vec<String> {
         let heads = self.heads.lock().unwrap();

@@ -17,9 +17,9 @@ mod waits;
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm,
-    MllmError, ModelDescription, ProbeQuestion, PromptPrefix, Request, RoundTime, Server, Turn,
-    milliseconds, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, EndpointSettings, FinishReason, GrammarField,
+    LoadReport, Mark, Mllm, MllmError, ModelDescription, ProbeQuestion, PromptPrefix, Request,
+    RoundTime, Server, TokenCounts, Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::{Client, Question};
@@ -196,6 +196,26 @@ impl Conversation for EndpointConversation<'_> {
 }
 
 impl EndpointConversation<'_> {
+    /// The turn of an answer that the constraint determines: nothing is left to ask.
+    fn without_choice(&mut self, prompt: &str, text: &str) -> Answer {
+        self.answers += 1;
+        let prompt_hash = prompt_hash(&self.system, &self.turns, prompt);
+        self.turns.push(Turn {
+            prompt: prompt.to_owned(),
+            answer: text.to_owned(),
+        });
+        Answer {
+            text: text.to_owned(),
+            ids: Vec::new(),
+            log_probability: None,
+            tokens: TokenCounts::default(),
+            time: RoundTime::default(),
+            finish: FinishReason::Complete,
+            constraint: ConstraintUse::Enforced,
+            prompt_hash,
+        }
+    }
+
     fn request(
         &mut self,
         prompt: &str,
@@ -205,6 +225,11 @@ impl EndpointConversation<'_> {
         let start = Instant::now();
         let settings = &self.endpoint.settings;
         request.sampling.check()?;
+        if let Constraint::Choice(texts) = &request.constraint
+            && let [only] = texts.as_slice()
+        {
+            return Ok(self.without_choice(prompt, only));
+        }
         // A question that is asked again has another seed, and may have another answer.
         let seed = answer_seed(self.seed, self.answers);
         let chat = Chat {

@@ -402,3 +402,34 @@ fn a_picture_is_sent_as_a_text_after_a_refusal_that_asks_for_it() {
     assert_eq!(error.matches("image_url").count(), 1, "{error}");
     assert_eq!(server.requests().len(), 2);
 }
+
+#[test]
+fn an_answer_without_a_choice_is_a_turn_that_no_server_is_asked_for() {
+    let server = FakeServer::start(vec![answer("left")]);
+    let endpoint = Endpoint::open("test", &settings(&server.url())).unwrap();
+    let mut conversation = endpoint
+        .converse(&crate::PromptPrefix::default(), 0)
+        .unwrap();
+    let request = |constraint| crate::Request {
+        constraint,
+        max_new_tokens: 5,
+        sampling: crate::Sampling::Greedy,
+        deadline: crate::Deadline::NONE,
+        draft: None,
+    };
+    let given = request(crate::Constraint::Choice(vec!["keep the lane".to_owned()]));
+    let first = conversation.ask("What now?", &given).unwrap();
+    assert_eq!(
+        (first.text.as_str(), server.requests().len()),
+        ("keep the lane", 0)
+    );
+    let second = conversation
+        .ask("Which lane?", &request(crate::Constraint::Free))
+        .unwrap();
+    assert_eq!((second.text.as_str(), server.requests().len()), ("left", 1));
+    let sent = server.bodies();
+    assert!(
+        sent.contains("What now?") && sent.contains("keep the lane"),
+        "{sent}"
+    );
+}

@@ -17,14 +17,16 @@ mod odd_files_tests;
 #[cfg(test)]
 mod rope_scaling_tests;
 #[cfg(test)]
-mod round_trip_tests;
+pub(crate) mod round_trip_tests;
 #[cfg(test)]
 mod stored_format_tests;
 
 use super::MllmError;
-use super::checkpoint::{LoadReport, ModelFiles, Weights, is_kernel, is_matrix, paired};
+use super::checkpoint::{
+    LoadReport, ModelFiles, Weights, is_kernel, is_matrix, may_add_one, paired,
+};
 use super::gguf::names::ROTARY;
-use super::gguf::{Entries, FILE, TOWER, WHOLE_MODEL, llama, tower_path};
+use super::gguf::{Entries, FILE, TILED_HEADS, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
 use super::source::{Checkpoint, ModelPlace};
 use super::text::special_tokens;
@@ -183,6 +185,9 @@ fn parts(
                 metadata: [general(WHOLE_MODEL), packed].concat(),
                 tensors: Vec::new(),
             };
+            if checkpoint.weights.heads_are_tiled() {
+                file.metadata.push((TILED_HEADS.to_owned(), json!(true)));
+            }
             let canonical = plan_tensors(&checkpoint.weights, &mut file, |name| {
                 Some(name.to_string())
             });
@@ -197,7 +202,7 @@ fn parts(
             }]);
         }
     };
-    let factors = frequency_factors(&text.rope, text.head_dim);
+    let factors = frequency_factors(&text.rope, text.rotated);
     if let Some(factors) = factors.filter(|_| !checkpoint.weights.contains(ROTARY.1)) {
         checkpoint.weights.add_numbers(ROTARY.1, &factors)?;
     }
@@ -305,7 +310,7 @@ fn data(
                 .take_of_any_rank(canonical, shape)?
                 .flatten_all()?
                 .to_vec1()?;
-            if norm_offset != 0.0 && has_offset(canonical) {
+            if norm_offset != 0.0 && may_add_one(canonical) {
                 for value in &mut values {
                     *value += norm_offset;
                 }
@@ -314,11 +319,6 @@ fn data(
         }
     }
     Ok(bytes)
-}
-
-/// Whether a tensor is the weight of a norm that multiplies by 1 more. Those of a tower do not.
-fn has_offset(canonical: &str) -> bool {
-    canonical.ends_with("norm.weight") && !canonical.starts_with("vision_tower.")
 }
 
 fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, MllmError> {

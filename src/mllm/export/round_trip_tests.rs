@@ -56,6 +56,14 @@ fn copy_reference(from: &Path, to: &Path) {
 }
 
 /// Rewrites a file with other metadata.
+pub(crate) fn edit_metadata(
+    path: &Path,
+    change: impl FnOnce(&mut BTreeMap<String, serde_json::Value>),
+) {
+    edit(path, |header, _| change(&mut header.metadata));
+}
+
+/// Rewrites a file with other metadata.
 pub(super) fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) {
     let bytes = fs::read(path).unwrap();
     let (mut header, _) = open_header(path).unwrap();
@@ -118,6 +126,7 @@ fn todays_families_from_gguf_compute_what_transformers_computes() {
         ("tiny_qwen2_vl", "."),
         ("tiny_llava_onevision", "."),
         ("tiny_gemma3", "."),
+        ("tiny_qwen3_5", "."),
     ] {
         let prompts = Prompts::from_fixture(name);
         let folder = tempfile::tempdir().unwrap();

@@ -11,20 +11,31 @@ use serde_json::{Map, Value as Json, json};
 
 /// How texts are split (`llm_tokenizer_bpe` of llama.cpp, and the models' own files).
 const QWEN2: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
+/// As Qwen 2, but combining marks stay with their letters.
+const QWEN35: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?[\p{L}\p{M}]+|\p{N}| ?[^\s\p{L}\p{M}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 const LLAMA3: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}{1,3}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 /// The names that are known.
-const KNOWN: [&str; 6] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe", "lfm2"];
+const KNOWN: [&str; 7] = [
+    "default",
+    "gpt-2",
+    "smollm",
+    "qwen2",
+    "qwen35",
+    "llama-bpe",
+    "lfm2",
+];
 
 /// The key of the way that texts are split.
 const PRE: &str = "tokenizer.ggml.pre";
 /// The name that says nothing: the split of GPT-2 is taken, as llama.cpp does.
 const DEFAULT: &str = "default";
 
-/// The name of the way that texts are split. Files of before May 2024 have none; all Qwens split
-/// alike.
+/// The name of the way that texts are split. Files of before May 2024 have none; all Qwens of that
+/// time split alike.
 fn split_name(header: &Header) -> Result<&str, MllmError> {
     Ok(match header.text(PRE)? {
         Some(name) => name,
+        None if header.architecture()? == super::qwen35::ARCHITECTURE => "qwen35",
         None if header.architecture()?.starts_with("qwen") => "qwen2",
         None => DEFAULT,
     })
@@ -171,6 +182,7 @@ fn splitting(name: &str) -> Option<(Json, Json)> {
             ),
         )),
         "qwen2" => Some((json!({"type": "NFC"}), pattern(QWEN2))),
+        "qwen35" => Some((json!({"type": "NFC"}), pattern(QWEN35))),
         name if splits_as_llama3(name) => Some((Json::Null, pattern(LLAMA3))),
         _ => None,
     }

@@ -4,6 +4,7 @@ use super::Entries;
 use super::gemma;
 use super::header::Header;
 use super::lfm2;
+use super::qwen35;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::{RopeScaling, Yarn};
@@ -13,19 +14,20 @@ use serde_json::{Value, json};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 7] = [
+const ARCHITECTURES: [(&str, &str); 8] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
-    (INTERLEAVED, "qwen3_vl_text"),
+    ("qwen3vl", "qwen3_vl_text"),
     (gemma::ARCHITECTURE, "gemma3_text"),
     (lfm2::ARCHITECTURE, "lfm2"),
+    (qwen35::ARCHITECTURE, "qwen3_5_text"),
 ];
-/// The architecture whose axes take turns in the rotary embedding; its files do not say so.
-const INTERLEAVED: &str = "qwen3vl";
+/// The architectures whose axes take turns in the rotary embedding; their files do not say so.
+const INTERLEAVED: [&str; 2] = ["qwen3vl", qwen35::ARCHITECTURE];
 /// The architectures whose positions have three axes.
-const THREE_AXES: [&str; 2] = ["qwen2vl", INTERLEAVED];
+const THREE_AXES: [&str; 3] = ["qwen2vl", "qwen3vl", qwen35::ARCHITECTURE];
 
 /// The base of the rotary embedding where a file has none (`rope_freq_base_train` in llama.cpp).
 const DEFAULT_THETA: f64 = 10_000.0;
@@ -41,6 +43,7 @@ pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
         "mistral" => "llama",
         "qwen2_5_vl" | "qwen2_vl" | "qwen2_vl_text" => "qwen2_5_vl_text",
         "qwen3_vl" => "qwen3_vl_text",
+        "qwen3_5" => "qwen3_5_text",
         "gemma3" => "gemma3_text",
         other => other,
     };
@@ -94,7 +97,7 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     };
     if let Some(rotated) = header
         .count(&key("rope.dimension_count"))?
-        .filter(|rotated| *rotated != head_dim)
+        .filter(|rotated| *rotated != head_dim && architecture != qwen35::ARCHITECTURE)
     {
         return Err(header.error(
             &key("rope.dimension_count"),
@@ -127,7 +130,8 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
         "rms_norm_eps": header.required_number(&key("attention.layer_norm_rms_epsilon"))?,
         "rope_theta": theta(header, &key("rope.freq_base"), notes)?,
         "sliding_window": window,
-        "attention_bias": header.tensors.contains_key("blk.0.attn_q.bias"),
+        // The first layer may have no attention.
+        "attention_bias": header.tensors.keys().any(|name| name.ends_with(".attn_q.bias")),
         "mlp_bias": header.tensors.contains_key("blk.0.ffn_up.bias"),
         "tie_word_embeddings": !header.tensors.contains_key("output.weight"),
     });
@@ -164,6 +168,9 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     if architecture == lfm2::ARCHITECTURE {
         lfm2::add_keys(header, &mut config)?;
     }
+    if architecture == qwen35::ARCHITECTURE {
+        qwen35::add_keys(header, &mut config)?;
+    }
     let three = |value: &Value| {
         let counts: Option<Vec<u64>> = value.as_array()?.iter().map(Value::as_u64).collect();
         counts?.get(..3).map(<[u64]>::to_vec)
@@ -172,7 +179,8 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     match header.typed(&sections_key, "a list of three counts or more", three)? {
         Some(sections) => {
             config["rope_scaling"]["mrope_section"] = json!(sections);
-            config["rope_scaling"]["mrope_interleaved"] = json!(architecture == INTERLEAVED);
+            config["rope_scaling"]["mrope_interleaved"] =
+                json!(INTERLEAVED.contains(&architecture));
         }
         None if THREE_AXES.contains(&architecture) => return Err(header.missing(&sections_key)),
         None => {}

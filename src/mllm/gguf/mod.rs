@@ -13,6 +13,7 @@ pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;
 mod parts;
+pub(crate) mod qwen35;
 mod read_only;
 mod text_files;
 pub(crate) mod tokenizer;
@@ -25,7 +26,7 @@ pub(crate) mod tokenizer_tests;
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
 pub(crate) use parts::{named_parts, open_model};
-pub(crate) use read_only::{ReadOnlyLayout, VisionFiles, as_stored};
+pub(crate) use read_only::{Changed, ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;
 
 use super::MllmError;
@@ -39,6 +40,9 @@ use std::path::{Path, PathBuf};
 pub(crate) const FILE: &str = "planagent.file.";
 /// The architecture of files that hold a whole model under its canonical names.
 pub(crate) const WHOLE_MODEL: &str = "planagent";
+/// Key of such a file whose value heads lie as llama.cpp has them
+/// ([`GgufLayout::heads_are_tiled`]).
+pub(crate) const TILED_HEADS: &str = "planagent.tiled_heads";
 /// The architecture of a vision tower ("mmproj").
 pub(crate) const TOWER: &str = "clip";
 /// The tokenizer, which a user may put beside a GGUF file to replace the one in its metadata.
@@ -72,6 +76,11 @@ pub trait GgufLayout: Sync {
 
     /// Whether llama.cpp stores the weights of the decoder's norms with 1 added.
     fn norms_have_one(&self) -> bool {
+        false
+    }
+
+    /// Whether llama.cpp stores the value heads of a key apart, in layers with a delta rule.
+    fn heads_are_tiled(&self) -> bool {
         false
     }
 

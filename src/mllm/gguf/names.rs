@@ -84,6 +84,33 @@ const LFM2_PARTS: [Pair; 14] = [
     ("ffn_down", "mlp.down_proj"),
 ];
 
+/// The layers of a Qwen 3.5. `ssm_a` gets its ending when it is read ([`super::qwen35::renamed`]).
+pub(crate) const QWEN35_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &QWEN35_PARTS);
+
+const QWEN35_PARTS: [Pair; 20] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("attn_qkv", "linear_attn.in_proj_qkv"),
+    ("attn_gate", "linear_attn.in_proj_z"),
+    ("ssm_alpha", "linear_attn.in_proj_a"),
+    ("ssm_beta", "linear_attn.in_proj_b"),
+    ("ssm_a", "linear_attn.decay"),
+    ("ssm_dt", "linear_attn.dt"),
+    ("ssm_conv1d", "linear_attn.conv1d"),
+    ("ssm_norm", "linear_attn.norm"),
+    ("ssm_out", "linear_attn.out_proj"),
+    ("post_attention_norm", "post_attention_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+];
+
 /// The layers of a tower with CLIP's names.
 pub(crate) const VISION_LAYERS: (&str, &str, &[Pair]) = ("v.blk.", VISION_PREFIX, &VISION_PARTS);
 

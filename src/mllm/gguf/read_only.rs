@@ -23,8 +23,30 @@ pub(crate) struct ReadOnlyLayout {
     pub renamed: fn(file: &Header, name: &str) -> Result<Option<String>, MllmError>,
     /// What a tower's file says about the image; a note says what it leaves open.
     pub vision: fn(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError>,
+    /// What llama.cpp's converter changes in the decoder's numbers.
+    pub changed: Changed,
     /// What a model may set and llama.cpp has no key for.
     pub lacking: &'static str,
+}
+
+/// What llama.cpp's converter changes in a decoder's numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Changed {
+    Nothing,
+    /// Norms have 1 added ([`GgufLayout::norms_have_one`]).
+    Norms,
+    /// And the value heads of a key lie apart ([`GgufLayout::heads_are_tiled`]).
+    NormsAndHeads,
+}
+
+impl Changed {
+    pub(crate) fn norms(self) -> bool {
+        self != Self::Nothing
+    }
+
+    pub(crate) fn heads(self) -> bool {
+        self == Self::NormsAndHeads
+    }
 }
 
 /// The small files as far as a tower decides them.
@@ -79,6 +101,14 @@ impl GgufLayout for ReadOnlyLayout {
 
     fn gguf_name(&self, canonical: &str) -> Option<String> {
         self.names.in_gguf(canonical)
+    }
+
+    fn norms_have_one(&self) -> bool {
+        self.changed.norms()
+    }
+
+    fn heads_are_tiled(&self) -> bool {
+        self.changed.heads()
     }
 
     fn metadata(&self, _files: &ModelFiles) -> Result<Described, MllmError> {

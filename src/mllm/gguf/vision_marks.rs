@@ -4,7 +4,7 @@ use super::header::Header;
 use crate::MllmError;
 
 /// Architectures of the decoders of vision models.
-const ARCHITECTURES: [&str; 2] = ["qwen2vl", "qwen3vl"];
+const ARCHITECTURES: [&str; 3] = ["qwen2vl", "qwen3vl", super::qwen35::ARCHITECTURE];
 /// Tokens that only vision models have. `<|image_pad|>` is none of them: Qwen's language models
 /// have it too.
 const TOKENS: [&str; 2] = ["<image>", "<IMG_CONTEXT>"];

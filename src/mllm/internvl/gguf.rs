@@ -5,7 +5,7 @@ use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
 };
-use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
 use serde_json::json;
 
 const NAMES: Names = Names {
@@ -64,6 +64,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     names: NAMES,
     renamed: as_stored,
     vision,
+    changed: Changed::Nothing,
     lacking: "the filter that images are resized with",
 };
 

@@ -2,7 +2,7 @@
 
 use crate::MllmError;
 use crate::gguf::names::{EMBEDDING, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, VISION_LAYERS};
-use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
 use serde_json::json;
 
 const NORM: &str = "mm.input_norm.weight";
@@ -49,6 +49,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     names: NAMES,
     renamed: as_stored,
     vision,
+    changed: Changed::Nothing,
     lacking: "how images are cut into tiles",
 };
 

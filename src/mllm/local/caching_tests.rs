@@ -154,6 +154,7 @@ fn families_of_today_compute_as_little() {
         "tiny_llava_onevision",
         "tiny_gemma3",
         "tiny_lfm2_vl",
+        "tiny_qwen3_5",
     ] {
         check_planning_calls(name, &fixture(name), true);
     }

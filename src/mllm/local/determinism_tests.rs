@@ -94,6 +94,10 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         json!({"tile_size": 64, "min_image_tokens": 4, "max_image_tokens": 8, "max_tiles": 4});
     let mut biased = tiles(json!({}));
     biased["vision_config"]["attention_bias"] = json!(true);
+    let mut ruled = axes([4, 2, 2], json!({"num_position_embeddings": 64}));
+    let rule = json!({"full_attention_interval": 3, "linear_num_key_heads": 2, "linear_num_value_heads": 4,
+        "linear_key_head_dim": 32, "linear_value_head_dim": 48, "partial_rotary_factor": 0.5});
+    ruled["text_config"] = with(ruled["text_config"].take(), rule.clone());
     let models = vec![
         (random("llava", &llava, &square), picture(128, 128)),
         (random("llava-next", &llava, &square), picture(200, 90)),
@@ -131,6 +135,7 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
             picture(90, 70),
         ),
         (random("lfm2-vl", &convolving, &views), picture(130, 170)),
+        (random("qwen3.5", &ruled, &pixels), picture(160, 100)),
     ];
     // Models that read text alone.
     let local = json!({"model_type": "gemma3_text", "head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
@@ -140,6 +145,13 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         ("qwen3", json!({"model_type": "qwen3", "head_dim": 32})),
         ("gemma3_text", local),
         ("lfm2", convolve),
+        (
+            "qwen3_5_text",
+            with(
+                rule,
+                json!({"model_type": "qwen3_5_text", "head_dim": 32, "rope_parameters": {"mrope_section": [4, 2, 2]}}),
+            ),
+        ),
     ];
     let texts = texts.map(|(name, keys)| {
         let model = random(name, &with(text.clone(), keys), &json!({}));

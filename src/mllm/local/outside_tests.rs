@@ -47,13 +47,15 @@ fn tiny_language_models_are_those_of_transformers_as_folders_and_gguf() {
 #[test]
 #[ignore = "needs mllm_reference in $PLANAGENT_DATA"]
 fn tiny_vision_models_are_those_of_transformers_as_folders_and_gguf() {
-    for family in ["qwen2_vl", "llava_onevision", "gemma3"] {
+    for family in ["qwen2_vl", "qwen3_5", "llava_onevision", "gemma3"] {
         let prompts = Prompts::from_data(family);
         prompts.check(&prompts.open(".", ImageSettings::default()), |_| true);
     }
-    let prompts = Prompts::from_data("qwen2_vl");
-    let folder = prompts.gguf_with("preprocessor_config.json");
-    prompts.check(&Prompts::open_at(folder.path()), |_| true);
+    for family in ["qwen2_vl", "qwen3_5"] {
+        let prompts = Prompts::from_data(family);
+        let folder = prompts.gguf_with("preprocessor_config.json");
+        prompts.check(&Prompts::open_at(folder.path()), |_| true);
+    }
     // llama.cpp's converter rounds Gemma's projection to f16.
     let prompts = Prompts::from_data("gemma3");
     let gguf = prompts.open_gguf(ImageSettings::default());

@@ -9,6 +9,10 @@ use planagent_kernels::attention::position_end;
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;
 
+/// Tokens at the end of a prompt that open the answer, at most: a chat's history may hold them
+/// otherwise (Qwen 3 and 3.5 write no empty thinking there), so that later prompts part before it.
+const ANSWER_OPENING: usize = 8;
+
 /// Computed tokens with what the decoder keeps of them. A clone is a branch: it costs one copy of
 /// the layers' states at most, once one of both is appended to.
 #[derive(Debug, Clone)]
@@ -76,11 +80,14 @@ impl Sequence {
     }
 
     /// Marks, in tokens that are to be appended, where later prompts part from this one: behind the
-    /// image, and before the last token, whose logits are needed again.
+    /// image, before the opening of the answer, and before the last token, whose logits are needed
+    /// again.
     pub(crate) fn mark_prompt(&mut self, image_token: u32, next: &[u32]) {
         let image_end = next.iter().rposition(|id| *id == image_token);
-        let ends = image_end.map(|last| last + 1).into_iter();
-        for end in ends.chain(next.len().checked_sub(1)) {
+        let image_end = image_end.map(|last| last + 1);
+        let last = next.len().checked_sub(1);
+        let opening = last.and_then(|last| last.checked_sub(ANSWER_OPENING));
+        for end in [image_end, opening, last].into_iter().flatten() {
             self.cache.mark_at(self.ids.len() + end);
         }
     }

@@ -37,6 +37,7 @@ fn folders() -> Vec<(PathBuf, &'static str)> {
         "tiny_llava_onevision",
         "tiny_gemma3",
         "tiny_lfm2_vl",
+        "tiny_qwen3_5",
     ];
     papers
         .chain(todays.map(|name| (fixture(name), "image_0.png")))

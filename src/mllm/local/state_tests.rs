@@ -32,6 +32,12 @@ static MODELS: LazyLock<Vec<Model>> = LazyLock::new(|| {
             "lfm2",
             json!({"layer_types": ["conv", "full_attention", "conv", "conv"], "conv_L_cache": 4}),
         ),
+        model(
+            "qwen3_5_text",
+            json!({"head_dim": 16, "partial_rotary_factor": 0.5, "rope_parameters": {"mrope_section": [2, 1, 1]},
+                "full_attention_interval": 3, "linear_num_key_heads": 2, "linear_num_value_heads": 4,
+                "linear_key_head_dim": 8, "linear_value_head_dim": 12}),
+        ),
     ]
 });
 

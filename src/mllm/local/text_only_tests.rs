@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// Tiny vision models, the prefix of their decoders' tensors, the family of the decoder, and what
 /// shows it as part of a vision model.
-const MODELS: [(&str, &str, &str, &str); 5] = [
+const MODELS: [(&str, &str, &str, &str); 6] = [
     ("tiny_smolvlm", "model.text_model.", "llama", "<image>"),
     (
         "tiny_internvl3",
@@ -31,6 +31,12 @@ const MODELS: [(&str, &str, &str, &str); 5] = [
         "model.language_model.",
         "qwen3",
         "architecture qwen3vl",
+    ),
+    (
+        "tiny_qwen3_5",
+        "model.language_model.",
+        "qwen3_5_text",
+        "architecture qwen35",
     ),
 ];
 
@@ -55,6 +61,9 @@ fn decoder_folder(prompts: &Prompts, prefix: &str) -> tempfile::TempDir {
     let decoder: HashMap<String, Tensor> = all
         .into_iter()
         .filter_map(|(name, tensor)| {
+            if name == "lm_head.weight" {
+                return Some((name, tensor));
+            }
             Some((format!("model.{}", name.strip_prefix(prefix)?), tensor))
         })
         .collect();

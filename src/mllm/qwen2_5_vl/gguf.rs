@@ -2,7 +2,7 @@
 
 use crate::MllmError;
 use crate::gguf::names::{DECODER_LAYERS, Names};
-use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
 use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
 use serde_json::json;
 
@@ -48,6 +48,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     names: NAMES,
     renamed: as_stored,
     vision,
+    changed: Changed::Nothing,
     lacking: LACKING,
 };
 

@@ -3,7 +3,7 @@
 
 use crate::MllmError;
 use crate::gguf::names::{DECODER_LAYERS, Names, VISION_LAYERS};
-use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
 use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
 use serde_json::json;
 
@@ -32,6 +32,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     names: NAMES,
     renamed: as_stored,
     vision,
+    changed: Changed::Nothing,
     lacking: LACKING,
 };
 

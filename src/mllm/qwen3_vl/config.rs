@@ -25,21 +25,44 @@ pub(crate) struct Qwen3VlConfig {
     pub image_token: u32,
 }
 
-/// The id of an image's token in the published tokenizers.
+/// The id of an image's token in the tokenizers of Qwen 2 and 3.
 const IMAGE_TOKEN: u32 = 151_655;
 
+/// What differs between the families with this tower.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kind {
+    pub decoder: DecoderType,
+    /// The id of an image's token in the published tokenizers.
+    pub image_token: u32,
+    /// Whether layers of the tower go to layers of the decoder (`deepstack_visual_indexes`).
+    pub deepstack: bool,
+}
+
+/// Qwen3-VL.
+pub(super) const QWEN3_VL: Kind = Kind {
+    decoder: DecoderType::Qwen3Vl,
+    image_token: IMAGE_TOKEN,
+    deepstack: true,
+};
+
 impl Qwen3VlConfig {
-    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+    pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        Self::open_as(QWEN3_VL, files)
+    }
+
+    /// Reads the configuration of a family with this tower.
+    pub(crate) fn open_as(kind: Kind, files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(
+            kind,
             &files.path("config.json"),
             &files.required_json("config.json")?,
         )
     }
 
     /// Reads a configuration; `path` is for messages.
-    pub(super) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
+    pub(crate) fn from_json(kind: Kind, path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
-        // The defaults of `Qwen3VLVisionConfig`.
+        // The defaults of `Qwen3VLVisionConfig` and `Qwen3_5VisionConfig`.
         let vision = root.child_or_empty("vision_config")?.with_defaults(json!({
             "depth": 27, "hidden_size": 1152, "intermediate_size": 4304, "num_heads": 16, "patch_size": 16,
             "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6, "spatial_merge_size": 2,
@@ -72,8 +95,12 @@ impl Qwen3VlConfig {
         if !(tower.hidden / tower.heads).is_multiple_of(4) {
             return Err(vision.error("num_heads", "the width of a head must be a multiple of 4"));
         }
-        let deep: Vec<usize> = vision.list("deepstack_visual_indexes")?;
-        let text = text_config(&root, DecoderType::Qwen3Vl)?;
+        let deep: Vec<usize> = if kind.deepstack {
+            vision.list("deepstack_visual_indexes")?
+        } else {
+            Vec::new()
+        };
+        let text = text_config(&root, kind.decoder)?;
         if !deep.is_sorted()
             || deep.last().is_some_and(|last| *last >= tower.layers)
             || deep.len() > text.layers
@@ -100,7 +127,7 @@ impl Qwen3VlConfig {
             merge,
             frames: count("temporal_patch_size", 16)?,
             deep,
-            image_token: image_token(&root, text.vocabulary)?,
+            image_token: image_token_or(kind.image_token, &root, text.vocabulary)?,
             vision: tower,
             text,
         })
@@ -130,7 +157,16 @@ pub(crate) fn check_tower_rope(vision: &ConfigObject<'_>) -> Result<(), MllmErro
 
 /// The id of an image's token.
 pub(crate) fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
-    let id = root.first_id("image_token_id")?.unwrap_or(IMAGE_TOKEN);
+    image_token_or(IMAGE_TOKEN, root, vocabulary)
+}
+
+/// The id of an image's token, `default` where a configuration has none.
+fn image_token_or(
+    default: u32,
+    root: &ConfigObject<'_>,
+    vocabulary: usize,
+) -> Result<u32, MllmError> {
+    let id = root.first_id("image_token_id")?.unwrap_or(default);
     if (id as usize) < vocabulary {
         return Ok(id);
     }
@@ -155,7 +191,8 @@ mod tests {
         old["text_config"]["rope_scaling"] =
             json!({"rope_type": "default", "mrope_section": [24, 20, 20]});
         new["text_config"]["rope_parameters"] = json!({"rope_type": "default", "rope_theta": 5e6, "mrope_interleaved": true, "mrope_section": [24, 20, 20]});
-        let read = |config: &Value| Qwen3VlConfig::from_json(Path::new("config.json"), config);
+        let read =
+            |config: &Value| Qwen3VlConfig::from_json(QWEN3_VL, Path::new("config.json"), config);
         let config = read(&old).unwrap();
         assert_eq!(config, read(&new).unwrap());
         assert_eq!(

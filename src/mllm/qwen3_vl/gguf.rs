@@ -5,7 +5,7 @@ use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS,
 };
-use crate::gguf::{Header, ReadOnlyLayout, VisionFiles};
+use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles};
 use serde_json::{Value, json};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
@@ -119,10 +119,12 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     names: NAMES,
     renamed,
     vision,
+    changed: Changed::Nothing,
     lacking: LACKING,
 };
 
-fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+/// The small files of a tower.
+pub(crate) fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
     tower.check_activation("gelu", notes)?;
     let sizes = tower.vision_config()?;
     let patch = tower.required_count("clip.vision.patch_size")?;

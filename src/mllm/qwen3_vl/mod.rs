@@ -14,17 +14,17 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-pub(crate) use config::{Qwen3VlConfig, check_tower_rope, image_token, text_config};
-pub(crate) use gguf::{IMAGE, LACKING, QWEN_NAMES, limits};
+pub(crate) use config::{Kind, Qwen3VlConfig, check_tower_rope, image_token, text_config};
+pub(crate) use gguf::{IMAGE, LACKING, QWEN_NAMES, limits, vision};
 pub(crate) use merger::PatchMerger;
 pub(crate) use model::{PatchEncoder, PatchModel};
 pub(crate) use names::canonical_name;
 pub(crate) use patches::{PatchProcessor, take_patch_embedding};
+pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::{About, Family};
-use vision::ImageEncoder;
 
 const NAME: &str = "qwen3-vl";
 

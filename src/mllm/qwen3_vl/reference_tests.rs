@@ -1,6 +1,6 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen3_vl`).
 
-use super::config::Qwen3VlConfig;
+use super::config::{QWEN3_VL, Qwen3VlConfig};
 use super::patches::PatchProcessor;
 use super::{FAMILY, PatchEncoder, Qwen3Vl, take};
 use crate::checkpoint::ConfigObject;
@@ -30,7 +30,7 @@ fn assembled(parts: &Parts) -> Qwen3Vl {
 
 /// Opens a model from parts with a change of the validated configuration.
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut Qwen3VlConfig)) -> Qwen3Vl {
-    let mut config = Qwen3VlConfig::from_json(&parts.path, &parts.config).unwrap();
+    let mut config = Qwen3VlConfig::from_json(QWEN3_VL, &parts.path, &parts.config).unwrap();
     change(&mut config);
     take(&mut parts.weights(&FAMILY), &config, processor(TINY, PATCH)).unwrap()
 }

@@ -37,7 +37,7 @@ pub(crate) struct ImageEncoder {
 }
 
 impl ImageEncoder {
-    pub(super) fn take(weights: &mut Weights, config: &Qwen3VlConfig) -> Result<Self, MllmError> {
+    pub(crate) fn take(weights: &mut Weights, config: &Qwen3VlConfig) -> Result<Self, MllmError> {
         const PROJECTOR: &str = "multi_modal_projector";
         let vision = &config.vision;
         let (hidden, decoder, eps) = (vision.hidden, config.text.hidden, vision.layer_norm_eps);

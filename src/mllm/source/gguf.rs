@@ -7,8 +7,8 @@ use crate::checkpoint::{
 };
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, no_tower, open_header, open_model,
-    packed_files, row_order, tokenizer, tower_for, unread_keys,
+    GgufLayout, Header, TEMPLATE, TILED_HEADS, TOWER, WHOLE_MODEL, llama, no_tower, open_header,
+    open_model, packed_files, row_order, tokenizer, tower_for, unread_keys,
 };
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;
@@ -93,6 +93,9 @@ fn open_whole(
 ) -> Result<Checkpoint, MllmError> {
     let files = ModelFiles::packed(&header.path, packed_files(header)?);
     let mut weights = Weights::empty(&header.path, plan(quantize));
+    if header.flag(TILED_HEADS)? == Some(true) {
+        weights.set_heads_are_tiled();
+    }
     let first = add_parts(&mut weights, parts);
     for (name, place) in &header.tensors {
         weights.add(
@@ -145,6 +148,9 @@ fn open_files(
     let mut weights = Weights::empty(&decoder_header.path, plan(quantize));
     if layout.norms_have_one() {
         weights.set_norms_have_one();
+    }
+    if layout.heads_are_tiled() {
+        weights.set_heads_are_tiled();
     }
     for (header, parts) in [Some(decoder), tower].into_iter().flatten() {
         add_tensors(&mut weights, layout, header, parts)?;

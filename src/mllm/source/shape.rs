@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 28] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -56,6 +56,9 @@ impl ModelShape {
         shape!("lfm2-vl-450m"),
         shape!("lfm2.5-vl-450m"),
         shape!("lfm2.5-vl-1.6b"),
+        shape!("qwen3.5-0.8b"),
+        shape!("qwen3.5-2b"),
+        shape!("qwen3.5-4b"),
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
@@ -191,6 +194,9 @@ mod tests {
             ("lfm2-vl-450m", 0.450_8),
             ("lfm2.5-vl-450m", 0.448_7),
             ("lfm2.5-vl-1.6b", 1.597),
+            ("qwen3.5-0.8b", 0.853),
+            ("qwen3.5-2b", 2.213),
+            ("qwen3.5-4b", 4.539),
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };

@@ -4,9 +4,11 @@ use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles};
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT,
-    ROTARY,
+    QWEN35_LAYERS, ROTARY,
 };
-use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma, lfm2, llama};
+use crate::gguf::{
+    Changed, Described, GgufLayout, Header, TextFiles, as_stored, gemma, lfm2, llama, qwen35,
+};
 use std::collections::BTreeMap;
 
 const NAMES: Names = Names {
@@ -24,12 +26,19 @@ const LFM2_NAMES: Names = Names {
     layers: &[LFM2_LAYERS],
 };
 
+const QWEN35_NAMES: Names = Names {
+    single: &[EMBEDDING, FINAL_NORM, OUTPUT],
+    layers: &[QWEN35_LAYERS],
+};
+
 /// The files of a family of language models.
 pub(super) struct TextGguf {
     /// Architectures of its decoders.
     architectures: &'static [&'static str],
     names: Names,
-    norms_have_one: bool,
+    /// As in a [`ReadOnlyLayout`](crate::gguf::ReadOnlyLayout).
+    renamed: fn(file: &Header, name: &str) -> Result<Option<String>, MllmError>,
+    changed: Changed,
 }
 
 impl TextGguf {
@@ -38,7 +47,8 @@ impl TextGguf {
         Self {
             architectures,
             names: NAMES,
-            norms_have_one: false,
+            renamed: as_stored,
+            changed: Changed::Nothing,
         }
     }
 
@@ -46,14 +56,24 @@ impl TextGguf {
     pub(super) const OF_GEMMA: Self = Self {
         architectures: &[gemma::ARCHITECTURE],
         names: GEMMA_NAMES,
-        norms_have_one: true,
+        renamed: as_stored,
+        changed: Changed::Norms,
     };
 
     /// The files of LFM2.
     pub(super) const OF_LFM2: Self = Self {
         architectures: &[lfm2::ARCHITECTURE],
         names: LFM2_NAMES,
-        norms_have_one: false,
+        renamed: as_stored,
+        changed: Changed::Nothing,
+    };
+
+    /// The files of Qwen 3.5.
+    pub(super) const OF_QWEN35: Self = Self {
+        architectures: &[qwen35::ARCHITECTURE],
+        names: QWEN35_NAMES,
+        renamed: qwen35::renamed,
+        changed: Changed::NormsAndHeads,
     };
 }
 
@@ -75,8 +95,9 @@ impl GgufLayout for TextGguf {
         Ok(files.into_files())
     }
 
-    fn canonical_name(&self, _file: &Header, name: &str) -> Result<Option<String>, MllmError> {
-        Ok(self.names.to_canonical(name))
+    fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+        let name = (self.renamed)(file, name)?;
+        Ok(name.and_then(|name| self.names.to_canonical(&name)))
     }
 
     fn gguf_name(&self, canonical: &str) -> Option<String> {
@@ -84,7 +105,11 @@ impl GgufLayout for TextGguf {
     }
 
     fn norms_have_one(&self) -> bool {
-        self.norms_have_one
+        self.changed.norms()
+    }
+
+    fn heads_are_tiled(&self) -> bool {
+        self.changed.heads()
     }
 
     fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
@@ -101,6 +126,10 @@ fn described(config: &LlamaConfig) -> Described {
         let mut metadata = llama::metadata(gemma::ARCHITECTURE, config)?;
         metadata.extend(gemma::metadata(config)?);
         return Ok((gemma::ARCHITECTURE, metadata, None));
+    }
+    if config.delta.is_some() {
+        // Its value heads would have to be written in another order.
+        return Err("layers with a delta rule");
     }
     if config.convolution.is_some() {
         return Ok((lfm2::ARCHITECTURE, lfm2::metadata(config)?, None));

@@ -120,7 +120,34 @@ pub(crate) const LFM2: Family = Family {
     },
 };
 
+/// Qwen 3.5, and the decoder of its vision models without their towers.
+pub(crate) const QWEN35: Family = Family {
+    name: "qwen3_5_text",
+    config_names: &["qwen3_5_text", "Qwen3_5ForCausalLM"],
+    canonical_name: |stored| qwen35_name(&canonical_name(stored)?),
+    gguf: Ok(&TextGguf::OF_QWEN35),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Qwen35),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Qwen35)?;
+        Ok(Box::new(TextModel::take(weights, "qwen3_5_text", &config)?))
+    },
+    about: About {
+        models: "Qwen3.5 without its tower",
+        gguf: &[("qwen35", None)],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_qwen3_5",
+        example: "my-qwen3.5",
+    },
+};
+
 const TOKENIZER: &str = "tokenizer.json";
+
+/// The canonical name of a tensor of a Qwen 3.5, from that of a Qwen; none for the blocks that
+/// predict further tokens.
+pub(crate) fn qwen35_name(name: &str) -> Option<String> {
+    let is_predicting = name.starts_with("language_model.mtp.");
+    (!is_predicting).then(|| name.replacen(".linear_attn.dt_bias", ".linear_attn.dt.bias", 1))
+}
 
 /// The canonical name of a tensor: that of the decoder of a vision model.
 fn canonical_name(stored: &str) -> Option<String> {

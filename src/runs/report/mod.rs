@@ -61,7 +61,7 @@ pub use paired::{ComparedScene, ComparedScores, NoPair, PlannerPair, RunComparis
 pub use renamed::RenamedSetting;
 pub use run_files::SimulationFolder;
 pub use run_folder::{CompletedSimulations, RunFolder, folders as simulation_folders};
-pub use simulation_folder::metrics_of as simulation_metrics;
+pub use simulation_folder::{calls_of as simulation_calls, metrics_of as simulation_metrics};
 pub use simulation_row::{MetricScore, SimulationRow};
 pub use spread::Spread;
 pub use stamp::{NoStamp, Stamp, stamp};

@@ -2,7 +2,7 @@
 //! maps.
 
 use super::bounded::at_most;
-use super::call_record::CallRecord;
+use super::call_record::{CallRecord, calls_in};
 use super::error::{ReportError, ReportFault};
 use super::file_names::{NamePart, SimulationName};
 use super::layout::{BEV, CALLS, METRICS, RECORD, REPLAY, TRANSCRIPT, bev_name, is_bev_name};
@@ -186,6 +186,14 @@ fn copy_pictures(pictures: &OpenFolder, copies: &OpenFolder) -> Result<(), Repor
 /// When the file cannot be read, is too large, or the name of a metric cannot be one of a file.
 pub fn metrics_of(folder: &SimulationFolder) -> Result<Vec<MetricResult>, ReportError> {
     metrics(&folder.open()?)
+}
+
+/// The planning calls in the folder of a simulation; none for a planner that makes none.
+///
+/// # Errors
+/// When the file cannot be read or is too large.
+pub fn calls_of(folder: &SimulationFolder) -> Result<Vec<CallRecord>, ReportError> {
+    calls_in(&folder.open()?)
 }
 
 pub(super) fn metrics(folder: &OpenFolder) -> Result<Vec<MetricResult>, ReportError> {

@@ -25,6 +25,14 @@ pub struct NoSuchType {
 }
 
 impl Sample {
+    /// At most so many scenarios, evenly from their types.
+    pub fn limited(limit: usize) -> Self {
+        Self {
+            limit: Some(limit),
+            ..Self::default()
+        }
+    }
+
     /// The scenarios that it takes of `found`.
     pub(super) fn draw(&self, found: Vec<ScenarioRef>) -> Result<Vec<ScenarioRef>, NoSuchType> {
         let mut scenarios = self.of_types(found)?;

@@ -5,7 +5,7 @@ mod bars;
 mod differences;
 mod lines;
 mod realism;
-mod svg;
+pub(crate) mod svg;
 
 pub use realism::realism_figure;
 

@@ -15,21 +15,21 @@ const STYLE: &str = "text{font:12px system-ui,sans-serif;fill:#24292f}.head{font
 
 /// Where a text stands relative to its point.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Anchor {
+pub(crate) enum Anchor {
     Start,
     Middle,
     End,
 }
 
 /// A picture in progress; pixels, y downwards.
-pub(super) struct Picture {
+pub(crate) struct Picture {
     width: f64,
     body: String,
 }
 
 /// The value range of an axis and its pixels.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Scale {
+pub(crate) struct Scale {
     values: [f64; 2],
     pixels: [f64; 2],
     /// Value between two ticks.
@@ -37,7 +37,7 @@ pub(super) struct Scale {
 }
 
 /// The color of a series.
-pub(super) fn color(series: usize) -> &'static str {
+pub(crate) fn color(series: usize) -> &'static str {
     SERIES
         .get(series % SERIES.len())
         .copied()
@@ -45,7 +45,7 @@ pub(super) fn color(series: usize) -> &'static str {
 }
 
 impl Picture {
-    pub(super) fn new(width: f64) -> Self {
+    pub(crate) fn new(width: f64) -> Self {
         Self {
             width,
             body: String::new(),
@@ -53,7 +53,7 @@ impl Picture {
     }
 
     /// The file with this height.
-    pub(super) fn finish(self, height: f64, title: &str) -> String {
+    pub(crate) fn finish(self, height: f64, title: &str) -> String {
         let (width, body) = (self.width, self.body);
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} \
@@ -69,7 +69,7 @@ impl Picture {
     }
 
     /// A text of a class (`""`, `head` or `faint`).
-    pub(super) fn text(&mut self, [x, y]: [f64; 2], anchor: Anchor, class: &str, text: &str) {
+    pub(crate) fn text(&mut self, [x, y]: [f64; 2], anchor: Anchor, class: &str, text: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -80,14 +80,14 @@ impl Picture {
     }
 
     /// A line of a class (`rule` or `axis`).
-    pub(super) fn rule(&mut self, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2], class: &str) {
+    pub(crate) fn rule(&mut self, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2], class: &str) {
         self.add(&format!(
             "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" class=\"{class}\"/>"
         ));
     }
 
     /// A line through points in a color; `dashed` for the paper.
-    pub(super) fn line(&mut self, points: &[[f64; 2]], color: &str, dashed: bool) {
+    pub(crate) fn line(&mut self, points: &[[f64; 2]], color: &str, dashed: bool) {
         let mut path = String::new();
         for [x, y] in points {
             // Writing to a string cannot fail.
@@ -103,21 +103,21 @@ impl Picture {
     }
 
     /// A point; hollow for the paper.
-    pub(super) fn point(&mut self, [x, y]: [f64; 2], color: &str, hollow: bool) {
+    pub(crate) fn point(&mut self, [x, y]: [f64; 2], color: &str, hollow: bool) {
         let fill = if hollow { "none" } else { color };
         self.add(&format!(
             "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{color}\" stroke-width=\"1.5\"/>"
         ));
     }
 
-    pub(super) fn bar(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], color: &str) {
+    pub(crate) fn bar(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], color: &str) {
         self.add(&format!(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{color}\"/>"
         ));
     }
 
     /// Ticks of a horizontal scale: a rule from `top` to `bottom` at each, its value below.
-    pub(super) fn columns(&mut self, scale: Scale, top: f64, bottom: f64) {
+    pub(crate) fn columns(&mut self, scale: Scale, top: f64, bottom: f64) {
         for (value, label) in scale.ticks() {
             let x = scale.at(value);
             self.rule(
@@ -130,7 +130,7 @@ impl Picture {
     }
 
     /// Ticks of a vertical scale: a rule from `left` to `right` at each, its value to the left.
-    pub(super) fn rows(&mut self, scale: Scale, left: f64, right: f64) {
+    pub(crate) fn rows(&mut self, scale: Scale, left: f64, right: f64) {
         for (value, label) in scale.ticks() {
             let y = scale.at(value);
             self.rule([left, y], [right, y], "rule");
@@ -142,7 +142,7 @@ impl Picture {
 impl Scale {
     /// A scale from pixel to pixel that shows all values, with about five ticks; both ends are
     /// ticks.
-    pub(super) fn for_values(values: impl IntoIterator<Item = f64>, pixels: [f64; 2]) -> Self {
+    pub(crate) fn for_values(values: impl IntoIterator<Item = f64>, pixels: [f64; 2]) -> Self {
         let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
         for value in values.into_iter().filter(|value| value.is_finite()) {
             ends = [ends[0].min(value), ends[1].max(value)];
@@ -169,22 +169,22 @@ impl Scale {
     }
 
     /// The value at the first pixel.
-    pub(super) fn low(&self) -> f64 {
+    pub(crate) fn low(&self) -> f64 {
         self.values[0]
     }
 
     /// The value at the last pixel.
-    pub(super) fn high(&self) -> f64 {
+    pub(crate) fn high(&self) -> f64 {
         self.values[1]
     }
 
     /// Decimals of its ticks.
-    pub(super) fn decimals(&self) -> usize {
+    pub(crate) fn decimals(&self) -> usize {
         (-self.step.log10().floor()).max(0.0) as usize
     }
 
     /// The pixel of a value.
-    pub(super) fn at(&self, value: f64) -> f64 {
+    pub(crate) fn at(&self, value: f64) -> f64 {
         let ([low, high], [first, last]) = (self.values, self.pixels);
         first + (value - low) / (high - low) * (last - first)
     }

@@ -13,6 +13,7 @@ pub use agreement::Agreement;
 pub use asked::AskedFigures;
 pub use folder::StudyFolder;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
+pub(crate) use results::clusters;
 pub use results::{
     ChallengeResults, ModelCost, Outcome, StudyResults, SuiteResults, SuiteSimulations,
     TypeResults, VariantResults, VariantSimulations,

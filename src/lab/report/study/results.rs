@@ -373,7 +373,7 @@ impl ResultSource<'_> {
 
 /// Differences by source in the clusters that the bootstrap draws: those of one recording together,
 /// whatever its start and its modification.
-fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
+pub(crate) fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
     let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for &(source, difference) in differences {
         // A word may have its start before or behind its modification.
@@ -384,7 +384,7 @@ fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
 }
 
 impl VariantSimulations {
-    pub(super) fn rows(&self) -> &[SimulationRow] {
+    pub(crate) fn rows(&self) -> &[SimulationRow] {
         match &self.outcome {
             Outcome::Simulated { rows, .. } => rows,
             Outcome::NotSimulated(_) => &[],

@@ -13,5 +13,5 @@ pub use realism::realism_table;
 pub(crate) use study::study_markdown;
 pub use study::study_table;
 pub use tokens::{token_markdown, token_table};
-pub(crate) use twins::twin_markdown;
 pub use twins::twin_table;
+pub(crate) use twins::{twin_markdown, twin_rows};

@@ -10,17 +10,18 @@ pub fn twin_table(results: &TwinResults, width: LineWidth) -> String {
     let notes = notes(results);
     let notes = notes.lines().flat_map(|note| width.wrapped(note));
     let notes = notes.collect::<Vec<_>>().join("\n");
-    format!("{}\n{notes}", rows(results).fitted(width))
+    format!("{}\n{notes}", twin_rows(results).fitted(width))
         .trim_end()
         .to_owned()
 }
 
 /// The same as Markdown.
 pub(crate) fn twin_markdown(results: &TwinResults) -> String {
-    rows(results).markdown() + "\n" + &notes(results)
+    twin_rows(results).markdown() + "\n" + &notes(results)
 }
 
-fn rows(results: &TwinResults) -> Table {
+/// The shares of a list.
+pub(crate) fn twin_rows(results: &TwinResults) -> Table {
     let headers = [
         "kind",
         "pairs",

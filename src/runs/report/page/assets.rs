@@ -4,10 +4,15 @@ use crate::report::{escaped, visible_line};
 
 /// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");
+/// The markup of a page without views, and how it finds the reader's theme.
+const DOCUMENT: &str = include_str!("assets/document.html");
+/// Colors and type, and the styles of tables: those of a page without views too.
+const THEME: &str = include_str!("assets/theme.css");
+const OVERVIEW: &str = include_str!("assets/overview.css");
 /// Styles, in order.
 const STYLES: [&str; 5] = [
-    include_str!("assets/theme.css"),
-    include_str!("assets/overview.css"),
+    THEME,
+    OVERVIEW,
     include_str!("assets/scenarios.css"),
     include_str!("assets/scene.css"),
     include_str!("assets/transcript.css"),
@@ -56,9 +61,25 @@ pub(super) fn page(title: &str, data: &str) -> String {
         ("{{data}}", data),
         ("{{script}}", &script),
     ];
+    filled(MARKUP, &parts)
+}
+
+/// A page of the same look without views; `body` is markup.
+pub(super) fn document(title: &str, body: &str) -> String {
+    let (title, style) = (escaped(&visible_line(title)), [THEME, OVERVIEW].concat());
+    let parts = [
+        ("{{title}}", title.as_str()),
+        ("{{style}}", &style),
+        ("{{body}}", body),
+    ];
+    filled(DOCUMENT, &parts)
+}
+
+/// A markup with its placeholders filled, in the order in which it has them.
+fn filled(markup: &str, parts: &[(&str, &str)]) -> String {
     // Placeholders are looked for in the markup alone: a title or the data may have the same words.
-    let (mut page, mut rest) = (String::new(), MARKUP);
-    for (place, text) in parts {
+    let (mut page, mut rest) = (String::new(), markup);
+    for &(place, text) in parts {
         if let Some((before, after)) = rest.split_once(place) {
             page.push_str(before);
             page.push_str(text);
@@ -92,6 +113,16 @@ mod tests {
                 .count(),
             0
         );
+    }
+
+    #[test]
+    fn a_document_has_its_parts_and_requests_nothing() {
+        let page = document("a < b", "<h2>{{style}}</h2>");
+        assert!(page.contains("<title>a &lt; b</title>") && page.contains("<h2>{{style}}</h2>"));
+        assert!(page.contains("--paper:") && !page.contains("{{body}}"));
+        for word in ["http:", "https:", "@import", "url(", "src=\"", "eval("] {
+            assert!(!page.contains(word), "the page has {word}");
+        }
     }
 
     #[test]

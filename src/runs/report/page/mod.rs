@@ -73,6 +73,11 @@ pub struct PageContents {
     pub unread: Vec<String>,
 }
 
+/// A page of the same look around a body of markup, without runs.
+pub fn document(title: &str, body: &str) -> String {
+    assets::document(title, body)
+}
+
 /// Writes a page of one or more runs to `out`, or, without it, as [`PAGE`] into the folder of the
 /// first; a link of that name is replaced, because a run may come from elsewhere. Calls
 /// `on_simulation(done, all)` after it has read a simulation.

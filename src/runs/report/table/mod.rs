@@ -1,6 +1,7 @@
-//! Tables of results, printed to the terminal or to Markdown.
+//! Tables of results, printed to the terminal, to Markdown or to HTML.
 
 mod failures;
+mod html;
 mod markdown;
 mod overview;
 mod paired;
