@@ -49,14 +49,15 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
 }
 
 /// Codes that are tried where Reflection refused all of a call: the ego's lane from the limit down,
-/// then other lanes at the limit.
+/// and where something blocks it, other lanes at the limit. Behind what drives on, a change into
+/// another lane comes near others more often than it helps.
 /// Why: docs/decisions/129-judged-handover.md.
 pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
     let moving = GRID_SPEEDS.into_iter().filter(|&fraction| fraction > 0.0);
     let own = moving.map(|fraction| (CenterlineName::EgoLane, fraction));
     let others = graph
         .named()
-        .filter(|centerline| centerline.name != CenterlineName::EgoLane)
+        .filter(|centerline| graph.blocked.is_some() && centerline.name != CenterlineName::EgoLane)
         .map(|centerline| (centerline.name, 1.0));
     own.chain(others)
         .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))

@@ -92,10 +92,10 @@ impl PlanAgent {
         )?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
-            Some(Judge::new(
+            Some(Judge::of_plans(
                 scene,
                 graph,
-                settings.reflection.horizon_s,
+                (settings.reflection.ride, settings.reflection.horizon_s),
                 &mut state.memory,
             )?)
         } else {

@@ -119,7 +119,7 @@ pub struct ReflectionSettings {
     /// Why: docs/decisions/109-paper-settings.md.
     pub after_max_exec: AfterMaxExec,
     /// Whether further codes are tried out when all attempts were refused: the ego's lane more
-    /// slowly, and other lanes.
+    /// slowly and, where something blocks it, other lanes.
     /// Why: docs/decisions/129-judged-handover.md.
     pub further_codes: bool,
     /// Which objects a plan follows.

@@ -1,8 +1,9 @@
 //! Scores plans by PDM's measure over a short horizon.
 
 use super::overtake::OvertakeRules;
-use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
+use super::reach::{Compared, MIN_REACH, Reach, is_compared};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
+use super::ride::Ride;
 use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
@@ -97,7 +98,7 @@ pub struct Judge<'a> {
     /// The line along which progress is measured.
     centerline: Polyline,
     steps: usize,
-    /// The reach of each of PDM-Closed's proposals.
+    /// The reach of each of PDM-Closed's proposals, or of what stands for them.
     proposals: Vec<Reach>,
     /// What a plan is compared with.
     rivals: Reach,
@@ -119,17 +120,42 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         memory: &mut PdmMemory,
     ) -> Result<Self, ReflectionError> {
+        Self::of_plans(scene, graph, (Ride::Idm, horizon_s), memory)
+    }
+
+    /// As [`Self::new`], of plans with this ride. They are compared with what rides as they do: at
+    /// [`Ride::Comfortable`], versions of a plan at the limit in the ego's lane stand for
+    /// PDM-Closed's proposals.
+    ///
+    /// # Errors
+    /// When the horizon is too short to be scored, or the ego's pose is not finite.
+    pub(crate) fn of_plans(
+        scene: &'a SceneView<'a>,
+        graph: &LaneGraph,
+        (ride, horizon_s): (Ride, f64),
+        memory: &mut PdmMemory,
+    ) -> Result<Self, ReflectionError> {
         memory.choose_reference_path(scene);
         if let PdmMemory {
             reference_path: Some(reference_path),
             collided,
         } = memory
         {
-            let mut judge = Self::along(scene, reference_path, horizon_s, collided)?;
+            let compared = Compared {
+                scene,
+                graph,
+                ride,
+                horizon_s,
+                steps: steps_of(horizon_s),
+            };
+            let mut judge = match ride {
+                Ride::Idm => Self::along(scene, reference_path, horizon_s, collided)?,
+                Ride::Comfortable => Self::beside(&compared, reference_path, collided)?,
+            };
             // Elsewhere what lies beyond the horizon decides nothing, and these roll-outs take
             // time.
             if is_compared(graph, judge.rivals.progress_m) {
-                judge.compare_with_lanes(graph, horizon_s)?;
+                judge.compare_with_lanes(&compared)?;
             }
             return Ok(judge);
         }
@@ -189,14 +215,32 @@ impl<'a> Judge<'a> {
         })
     }
 
+    /// Along a given reference path, compared with versions of a plan at the limit in the ego's
+    /// lane.
+    fn beside(
+        compared: &Compared<'a, '_>,
+        reference_path: &ReferencePath,
+        collided: &mut Collided,
+    ) -> Result<Self, ReflectionError> {
+        let instant = observe_along(reference_path, compared.scene, collided);
+        let centerline = reference_path.centerline().line().clone();
+        let proposals = compared.versions_at_limit(&instant.scoring(&centerline, 0.0))?;
+        Ok(Self {
+            scene: compared.scene,
+            instant,
+            centerline,
+            steps: compared.steps,
+            rivals: Reach::best(proposals.iter().copied()),
+            proposals,
+            reference: ProgressReference::PdmProposals,
+        })
+    }
+
     /// Compares progress with what plans at the limit could reach, too. Where a plan stops early
     /// because something leads past what blocks the lane, so do the rivals that do not pass it.
-    fn compare_with_lanes(
-        &mut self,
-        graph: &LaneGraph,
-        horizon_s: f64,
-    ) -> Result<(), ReflectionError> {
-        let lanes = reach_of_lanes(self.scene, graph, &self.scoring(), self.steps, horizon_s)?;
+    fn compare_with_lanes(&mut self, compared: &Compared<'_, '_>) -> Result<(), ReflectionError> {
+        let graph = compared.graph;
+        let lanes = compared.reach_of_lanes(&self.scoring())?;
         if let (Some(blocked), Some(_)) = (graph.blocked, graph.stop_point()) {
             let front = self
                 .centerline

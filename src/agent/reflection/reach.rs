@@ -3,9 +3,9 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::ride::Ride;
-use super::rollout::{LeadPolicy, Version};
+use super::rollout::{IdmPlan, LeadPolicy, Rollout, Version};
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
-use planagent_score::pdm::{ProposalScore, ScoringScene};
+use planagent_score::pdm::{ProposalScore, ScoringScene, score_proposals};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
 
@@ -75,48 +75,85 @@ pub(super) fn is_compared(graph: &LaneGraph, rival_progress: f64) -> bool {
     graph.blocked.is_some() || rival_progress <= STANDS
 }
 
-/// The reach of plans at the limit: on the ego's lane and, where that is blocked, on those that
-/// lead past. A red light, a queue and a person stop these plans as they stop any other.
-pub(super) fn reach_of_lanes(
-    scene: &SceneView<'_>,
-    graph: &LaneGraph,
-    scoring: &ScoringScene<'_>,
-    steps: usize,
-    horizon_s: f64,
-) -> Result<LaneReach, ReflectionError> {
-    // The most that a plan could do: at the limit, behind the nearest agent, with the whole
-    // acceleration.
-    let builder = PlanBuilder {
-        lead_policy: LeadPolicy::Nearest,
-        ride: Ride::Idm,
-        horizon_s,
-    };
-    let mut lanes = LaneReach::default();
-    for lane in graph.named() {
-        if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
-            continue;
-        }
-        let Some(plan) = builder.at_limit(GraphedScene::new(scene, graph), lane.name)? else {
-            continue;
+/// What plans are compared with: plans at the limit that drive as they do.
+pub(super) struct Compared<'a, 'g> {
+    pub(super) scene: &'a SceneView<'a>,
+    pub(super) graph: &'g LaneGraph,
+    pub(super) ride: Ride,
+    /// Length of path that the plans need, seconds.
+    pub(super) horizon_s: f64,
+    /// Length of the roll-outs, steps of 0.1 s.
+    pub(super) steps: usize,
+}
+
+impl Compared<'_, '_> {
+    /// The most that a plan could do: at the limit, behind the nearest agent, with the whole
+    /// acceleration.
+    fn at_limit(&self, lane: CenterlineName) -> Result<Option<IdmPlan>, ReflectionError> {
+        let builder = PlanBuilder {
+            lead_policy: LeadPolicy::Nearest,
+            ride: self.ride,
+            horizon_s: self.horizon_s,
         };
-        let simulated = [simulate_proposal(
-            scene.ego,
-            &plan.roll_out(scene, steps).poses,
-            JerkPenalty::PdmClosed,
-        )];
-        let scores = score_versions(scene, &plan, &[Version::PLAN], scoring, &simulated)?;
-        let reach = Reach::best(
-            scores
-                .iter()
-                .zip(&simulated)
-                .map(|(score, states)| Reach::of_rival(score, states)),
-        );
-        lanes.best_m = lanes.best_m.max(reach.reach_m);
-        if lane.name == CenterlineName::EgoLane {
-            lanes.own = reach;
-        }
+        Ok(builder.at_limit(GraphedScene::new(self.scene, self.graph), lane)?)
     }
-    Ok(lanes)
+
+    fn simulate(&self, rollout: &Rollout) -> Vec<EgoState> {
+        simulate_proposal(self.scene.ego, &rollout.poses, JerkPenalty::PdmClosed)
+    }
+
+    /// The reach of plans at the limit: on the ego's lane and, where that is blocked, on those that
+    /// lead past. A red light, a queue and a person stop these plans as they stop any other.
+    pub(super) fn reach_of_lanes(
+        &self,
+        scoring: &ScoringScene<'_>,
+    ) -> Result<LaneReach, ReflectionError> {
+        let mut lanes = LaneReach::default();
+        for lane in self.graph.named() {
+            if lane.name != CenterlineName::EgoLane && self.graph.blocked.is_none() {
+                continue;
+            }
+            let Some(plan) = self.at_limit(lane.name)? else {
+                continue;
+            };
+            let simulated = [self.simulate(&plan.roll_out(self.scene, self.steps))];
+            let scores = score_versions(self.scene, &plan, &[Version::PLAN], scoring, &simulated)?;
+            let reach = Reach::best(rivals(&scores, &simulated));
+            lanes.best_m = lanes.best_m.max(reach.reach_m);
+            if lane.name == CenterlineName::EgoLane {
+                lanes.own = reach;
+            }
+        }
+        Ok(lanes)
+    }
+
+    /// The reach of each version of the plan at the limit in the ego's lane that rides as the plan
+    /// does: brisk versions speed up without a limit of jerk, too. They drive on where
+    /// something blocks the lane, as PDM-Closed's proposals do.
+    pub(super) fn versions_at_limit(
+        &self,
+        scoring: &ScoringScene<'_>,
+    ) -> Result<Vec<Reach>, ReflectionError> {
+        let Some(plan) = self.at_limit(CenterlineName::EgoLane)? else {
+            return Ok(Vec::new());
+        };
+        let simulated: Vec<Vec<EgoState>> = plan
+            .without_stop_point()
+            .roll_out_versions(self.scene, self.steps)
+            .iter()
+            .filter(|(version, _)| version.rides_as_plan())
+            .map(|(_, rollout)| self.simulate(rollout))
+            .collect();
+        let scores = score_proposals(scoring, &simulated)?;
+        Ok(rivals(&scores, &simulated).collect())
+    }
+}
+
+fn rivals(scores: &[ProposalScore], simulated: &[Vec<EgoState>]) -> impl Iterator<Item = Reach> {
+    scores
+        .iter()
+        .zip(simulated)
+        .map(|(score, states)| Reach::of_rival(score, states))
 }
 
 #[cfg(test)]
@@ -135,19 +172,28 @@ mod tests {
 
     /// The report on a code at the limit on a lane.
     fn judged(scene: SceneBuilder, centerline: CenterlineName) -> ReflectionReport {
+        judged_beside(scene, centerline, (Ride::Idm, Ride::Idm))
+    }
+
+    /// As [`judged`], of a plan with one ride, beside rivals with another.
+    fn judged_beside(
+        scene: SceneBuilder,
+        centerline: CenterlineName,
+        (ride, of_rivals): (Ride, Ride),
+    ) -> ReflectionReport {
         let scene = scene.build().unwrap();
         let view = scene.view();
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         let builder = PlanBuilder {
             lead_policy: LeadPolicy::Nearest,
-            ride: Ride::Idm,
+            ride,
             horizon_s: 4.0,
         };
         let plan = builder
             .at_limit(GraphedScene::new(&view, &graph), centerline)
             .unwrap()
             .unwrap();
-        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())
+        Judge::of_plans(&view, &graph, (of_rivals, 4.0), &mut PdmMemory::default())
             .unwrap()
             .reflect(&plan, 0.75)
             .unwrap()
@@ -220,5 +266,24 @@ mod tests {
             assert!(report.parts.progress >= 1.0, "{why}: {:?}", report.parts);
             assert!(report.progress_m < 0.5, "{why}: it stands");
         }
+    }
+
+    #[test]
+    fn rivals_ride_as_the_plan_does() {
+        let past = || {
+            road()
+                .ego([0.0, -3.5], 0.0, 0.0)
+                .vehicle([19.0, -3.5], 0.0, 0.0)
+        };
+        let free = || road().ego([0.0, -3.5], 0.0, 2.0);
+        let progress =
+            |scene: SceneBuilder, lane, rides| judged_beside(scene, lane, rides).parts.progress;
+        let (alike, unlike) = (
+            (Ride::Comfortable, Ride::Comfortable),
+            (Ride::Comfortable, Ride::Idm),
+        );
+        assert!(progress(past(), CenterlineName::LeftLane, alike) > 0.98);
+        assert!(progress(past(), CenterlineName::LeftLane, unlike) < 0.95);
+        assert!(progress(free(), CenterlineName::EgoLane, alike) > 0.98);
     }
 }

@@ -2,22 +2,18 @@
 
 use planagent_world::dynamics::{IdmParameters, Lead};
 use planagent_world::geometry::{Polyline, wrap_angle};
-use planagent_world::{EgoState, STEP_S};
+use planagent_world::{EgoState, PACIFICA, STEP_S};
 
-/// Lateral acceleration in bends, m/s².
+/// The highest forward acceleration of the ego's center while it turns, m/s² (nuPlan's bound is
+/// 2.40).
 /// Why: docs/decisions/128-comfortable-plans.md.
-const BEND_ACCEL: f64 = 2.0;
-/// Deceleration before a bend, m/s².
-/// Why: docs/decisions/128-comfortable-plans.md.
-const BEND_DECEL: f64 = 1.5;
+const TURN_ACCEL: f64 = 2.0;
 /// Length of lane over which a bend is measured, meters: before and behind a place.
 const BEND_WINDOW: f64 = 3.0;
-/// Time ahead at which the allowed speed is read, seconds.
-const BEND_PREVIEW_S: f64 = 0.5;
-/// The hardest braking before and in a bend, m/s².
-const MAX_BEND_DECEL: f64 = 3.0;
-/// Speed of a straight road, m/s: higher than any.
-const STRAIGHT: f64 = 100.0;
+/// Time ahead for which the sharpest bend counts, seconds.
+const BEND_PREVIEW_S: f64 = 0.6;
+/// Change of the yaw rate on the way into a bend, a share of it per second.
+const TURN_CHANGE: f64 = 0.6;
 
 /// Maximum jerk of a roll-out, m/s³.
 /// Why: docs/decisions/128-comfortable-plans.md.
@@ -41,55 +37,56 @@ pub enum Ride {
     /// bends.
     #[default]
     Idm,
-    /// IDM that slows down for bends, starts from the ego's own acceleration and limits its jerk,
-    /// unless a collision asks for more.
+    /// IDM that starts from the ego's own acceleration and limits its jerk, unless a collision asks
+    /// for more, and speeds up less while the ego turns.
     /// Why: docs/decisions/128-comfortable-plans.md.
     Comfortable,
 }
 
-/// The speed that bends allow along a path.
+/// The bends along a path.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Bends {
-    /// At each meter of the path, m/s; empty where bends do not matter.
-    allowed: Vec<f64>,
+    /// The curvature at each meter of the path, 1/m; empty where bends do not matter.
+    curvature: Vec<f64>,
 }
 
 impl Bends {
     /// Those of `line` from arc length `from` on, for `length` meters.
     pub(super) fn along(line: &Polyline, from: f64, length: f64) -> Self {
-        let allowed = |ahead: usize| {
+        let curvature = |ahead: usize| {
             let s = from + ahead as f64;
             let (before, behind) = (
                 (s - BEND_WINDOW).max(0.0),
                 (s + BEND_WINDOW).min(line.length()),
             );
             if behind - before < BEND_WINDOW {
-                return STRAIGHT;
+                return 0.0;
             }
             let heading = |s| line.smooth_pose_at(s).heading;
-            let turn = wrap_angle(heading(behind) - heading(before)).abs();
-            let fastest = BEND_ACCEL * (behind - before);
-            if fastest < turn * STRAIGHT * STRAIGHT {
-                (fastest / turn).sqrt()
-            } else {
-                STRAIGHT
-            }
+            wrap_angle(heading(behind) - heading(before)).abs() / (behind - before)
         };
-        let mut allowed: Vec<f64> = (0..=length.ceil() as usize).map(allowed).collect();
-        let mut next = STRAIGHT;
-        for speed in allowed.iter_mut().rev() {
-            *speed = speed.min((next * next + 2.0 * BEND_DECEL).sqrt());
-            next = *speed;
+        Self {
+            curvature: (0..=length.ceil() as usize).map(curvature).collect(),
         }
-        Self { allowed }
     }
 
-    /// The highest acceleration that they allow at `speed` after `progress` meters, m/s².
+    /// The highest acceleration that they allow at `speed` after `progress` meters, m/s². In a turn
+    /// nuPlan adds a part to the forward acceleration of the ego's center
+    /// ([`EgoState::center_acceleration`]), which this leaves [`TURN_ACCEL`].
     pub(super) fn acceleration(&self, progress: f64, speed: f64) -> f64 {
+        let here = progress.max(0.0) as usize;
         let ahead = (progress + speed * BEND_PREVIEW_S).max(0.0) as usize;
-        self.allowed.get(ahead).map_or(f64::INFINITY, |allowed| {
-            ((allowed - speed) / BEND_PREVIEW_S).max(-MAX_BEND_DECEL)
-        })
+        let near = self
+            .curvature
+            .iter()
+            .skip(here)
+            .take((ahead + 1).saturating_sub(here));
+        let Some(sharpest) = near.copied().reduce(f64::max) else {
+            return f64::INFINITY;
+        };
+        let yaw_rate = speed * sharpest;
+        let of_turn = PACIFICA.rear_axle_to_center() * yaw_rate * (yaw_rate + TURN_CHANGE);
+        (TURN_ACCEL - of_turn).max(0.0)
     }
 }
 
@@ -101,10 +98,11 @@ pub(super) struct Smoothed {
 }
 
 impl Smoothed {
-    /// From the ego's own acceleration on.
+    /// From the ego's own acceleration on. Urgent braking ends at any jerk, as it begins: else the
+    /// ego comes to a stop before what it could still pass.
     pub(super) fn from_ego(ego: &EgoState) -> Self {
         Self {
-            accel: ego.acceleration.x,
+            accel: ego.acceleration.x.max(-URGENT_DECEL),
         }
     }
 
@@ -215,21 +213,31 @@ mod tests {
     }
 
     #[test]
-    fn a_comfortable_plan_slows_down_before_a_bend_and_idm_does_not() {
-        let lateral = |ride| {
-            let rollout = roll_out(bend(11.0), ride, 11.0, 110);
-            let turning = rollout.poses.iter().zip(&rollout.speeds);
-            let turning = turning.filter(|(pose, _)| pose.heading > 0.3 && pose.heading < 1.2);
-            let most = turning.map(|(_, speed)| speed * speed / RADIUS);
-            (most.fold(0.0, f64::max), least(&accelerations(&rollout)))
+    fn a_comfortable_plan_speeds_up_less_while_it_turns_and_idm_does_not() {
+        let of = |ride| {
+            let near = bend(6.0).ego([48.0, 0.0], 0.0, 6.0);
+            let rollout = roll_out(near, ride, 14.0, 60);
+            let accelerations = accelerations(&rollout);
+            let steps = rollout
+                .poses
+                .iter()
+                .zip(&rollout.speeds)
+                .zip(&accelerations);
+            let turning = steps.filter(|((pose, _), _)| pose.heading > 0.3 && pose.heading < 1.2);
+            let center = turning.map(|((_, speed), accel)| {
+                let yaw_rate = speed / RADIUS;
+                accel + PACIFICA.rear_axle_to_center() * yaw_rate * yaw_rate
+            });
+            let most = accelerations.iter().copied().fold(0.0, f64::max);
+            (center.fold(0.0, f64::max), most)
         };
-        let (comfortable, braking) = lateral(Ride::Comfortable);
+        let (comfortable, idm) = (of(Ride::Comfortable), of(Ride::Idm));
         assert!(
-            comfortable > 0.5 * BEND_ACCEL && comfortable < 1.25 * BEND_ACCEL,
-            "{comfortable}"
+            comfortable.1 > 1.0 && idm.1 > 1.0,
+            "{comfortable:?} {idm:?}"
         );
-        assert!(braking > -1.5 * BEND_DECEL, "{braking}");
-        assert!(lateral(Ride::Idm).0 > 2.0 * BEND_ACCEL);
+        assert!(comfortable.0 < TURN_ACCEL, "{comfortable:?}");
+        assert!(idm.0 > TURN_ACCEL + 0.1, "{idm:?}");
     }
 
     #[test]
@@ -246,6 +254,27 @@ mod tests {
             .map(|pair| (pair[1] - pair[0]).abs() / STEP_S);
         let most = jerks.fold(comfortable[0].abs() / STEP_S, f64::max);
         assert!(most < MAX_JERK + 1e-6, "{most}");
+    }
+
+    #[test]
+    fn a_comfortable_plan_leaves_the_acceleration_of_the_ego_gently_and_urgent_braking_at_once() {
+        let scene = bend(8.0).build().unwrap();
+        let first = |own: f64| {
+            let mut ego = *scene.view().ego;
+            ego.acceleration.x = own;
+            let scene = bend(8.0).ego_state(ego);
+            accelerations(&roll_out(scene, Ride::Comfortable, 11.0, 5))[0]
+        };
+        let step = MAX_JERK * STEP_S;
+        for own in [-1.5, 0.5] {
+            assert!(
+                (first(own) - own - step).abs() < 1e-6,
+                "{own}: {}",
+                first(own)
+            );
+        }
+        let urgent = first(-6.0);
+        assert!((urgent + URGENT_DECEL - step).abs() < 1e-6, "{urgent}");
     }
 
     #[test]

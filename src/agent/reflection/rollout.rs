@@ -67,7 +67,7 @@ pub struct IdmPlan {
     paths: [Polyline; LATERAL_OFFSETS.len()],
     /// Where the first path has come onto its line.
     settled: Point,
-    /// The speed that bends allow along the paths.
+    /// The bends along the paths.
     bends: Bends,
 }
 
@@ -121,6 +121,11 @@ impl Version {
                 .chain(slower.map(version(true)))
                 .collect(),
         }
+    }
+
+    /// Whether it rides as the plan itself does.
+    pub(super) fn rides_as_plan(self) -> bool {
+        !self.is_brisk
     }
 
     /// Whether it moves along the path of the plan itself.
@@ -207,6 +212,14 @@ impl IdmPlan {
             CenterlineName::LeftLane | CenterlineName::RightLane => (None, None),
         };
         self
+    }
+
+    /// The same without the stop before what the ego may pass.
+    pub(super) fn without_stop_point(self) -> Self {
+        Self {
+            stop_point: None,
+            ..self
+        }
     }
 
     /// The same over the oncoming lane, past what another plan has begun to pass.
@@ -373,7 +386,7 @@ fn lay_paths(
     Ok(([on.path, right?.path, left?.path], on.settled))
 }
 
-/// The speeds that bends of the followed lanes allow, from the ego on.
+/// The bends of the followed lanes, from the ego on.
 fn bends(
     ride: Ride,
     scene: &SceneView<'_>,
