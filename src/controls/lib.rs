@@ -4,6 +4,7 @@
 //! [`search`] simulates many codes from a state; `oracle-code` and the labels of datasets are its
 //! best ones.
 
+pub mod foresight;
 mod grid;
 mod oracle;
 mod random;

@@ -3,16 +3,14 @@
 //! takes the best of all codes of a grid, without the search's reserves: no model can do better by
 //! its codes.
 
+use super::foresight::{self, Foresight};
 use super::search::{Candidate, HORIZON, best, highest, search_ahead, search_grid};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent_agent::planner::{
-    AgentLayer, CodeCall, CodeList, CodeSource, Planner, PlannerError, PlannerInitialization,
-    PlannerInput, PlannerName, PlanningCall, fixed_code,
-};
-use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds};
+use planagent_agent::planner::{AgentLayer, CodeCall, CodeList, CodeSource, Planner, fixed_code};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::simulation::ClosedLoop;
-use planagent_world::Trajectory;
+use planagent_world::SceneView;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Chooses one of the codes that were tried.
@@ -44,21 +42,15 @@ pub(crate) fn entries() -> [PlannerEntry; 2] {
 }
 
 fn entry(name: &'static str, summary: &'static str, tries: Tried) -> PlannerEntry {
-    let name = PlannerName::new(name);
-    PlannerEntry::new(name, summary, PlannerNeeds::Simulation, move |parts| {
-        let simulation = parts.simulation.ok_or(PlannerError::MissingPart {
-            planner: parts.name,
-            part: "a simulation to look ahead in",
-        })?;
+    foresight::entry(name, summary, move |parts| {
         let code = HandedCode::default();
         let source = CodeSource::Listed(Arc::new(code.clone()));
-        Ok(Box::new(OracleAgent {
-            shadow: simulation.clone(),
+        Ok(CodeOracle {
             agent: parts.agent(source),
             tries,
             code,
             oncoming_lane: parts.settings.environment.oncoming_lane == Some(true),
-        }))
+        })
     })
 }
 
@@ -79,11 +71,8 @@ impl CodeList for HandedCode {
     }
 }
 
-/// An agent beside the simulation that it takes part in: before a planning call it tries its codes
-/// out there.
-struct OracleAgent {
-    /// The same simulation, with the same trajectories.
-    shadow: ClosedLoop<'static>,
+/// An agent whose codes are tried out ahead.
+struct CodeOracle {
     agent: Box<dyn AgentLayer>,
     tries: Tried,
     code: HandedCode,
@@ -91,12 +80,24 @@ struct OracleAgent {
     oncoming_lane: bool,
 }
 
-impl OracleAgent {
+impl Foresight for CodeOracle {
+    fn planner(&self) -> &dyn Planner {
+        &self.agent
+    }
+
+    fn planner_mut(&mut self) -> &mut dyn Planner {
+        &mut self.agent
+    }
+
+    fn begins_with_call(&self, scene: &SceneView<'_>) -> bool {
+        self.agent.state().begins_with_call(scene)
+    }
+
     /// Hands the best code over. Near the end of the recording the search looks no further than
     /// that; where it finds nothing, the agent takes the fixed code.
-    fn search(&self) {
-        let left = self.shadow.scenario().iterations() - 1 - self.shadow.iteration();
-        let scene = self.shadow.scene();
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
+        let left = simulation.scenario().iterations() - 1 - simulation.iteration();
+        let scene = simulation.scene();
         let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok();
         let graph = graph.map(|graph| {
             if self.oncoming_lane {
@@ -108,44 +109,9 @@ impl OracleAgent {
         let horizon = HORIZON.min(left);
         let (tried, best): (Vec<Candidate>, Choose) = match (graph, self.tries) {
             (None, _) => (Vec::new(), best),
-            (Some(graph), Tried::Search) => (search_ahead(&self.shadow, &graph, horizon), best),
-            (Some(graph), Tried::Grid) => (search_grid(&self.shadow, &graph, horizon), highest),
+            (Some(graph), Tried::Search) => (search_ahead(simulation, &graph, horizon), best),
+            (Some(graph), Tried::Grid) => (search_grid(simulation, &graph, horizon), highest),
         };
         self.code.hand(best(&tried).map(|best| best.code));
-    }
-}
-
-impl Planner for OracleAgent {
-    fn name(&self) -> &str {
-        self.agent.name()
-    }
-
-    fn initialize(
-        &mut self,
-        initialization: &PlannerInitialization<'_>,
-    ) -> Result<(), PlannerError> {
-        self.agent.initialize(initialization)
-    }
-
-    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        if self.agent.state().begins_with_call(&input.scene) {
-            self.search();
-        }
-        let trajectory = self.agent.compute_trajectory(input)?;
-        let name = self.agent.name().to_owned();
-        let failed = |source| PlannerError::Failed {
-            doing: "looking ahead",
-            source: Box::new(source),
-        };
-        self.shadow.advance(&trajectory, &name).map_err(failed)?;
-        Ok(trajectory)
-    }
-
-    fn calls(&self) -> &[PlanningCall] {
-        self.agent.calls()
-    }
-
-    fn take_calls(&mut self) -> Vec<PlanningCall> {
-        self.agent.take_calls()
     }
 }

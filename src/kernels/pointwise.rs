@@ -8,6 +8,7 @@ use super::activation::Activation;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 use candle_core::{D, Result, Tensor, bail};
+use std::marker::PhantomData;
 
 impl Activation {
     /// Applies the function to each number.
@@ -34,15 +35,22 @@ impl Activation {
             bail!("rows of {both} numbers do not split into gates and values of equal width");
         }
         match self {
-            Self::Silu => row_by_row(gate_up, both, width, |out, values| {
-                Instructions::best().run(SwiGluKernel { width, values, out });
-            }),
-            Self::GeluTanh => row_by_row(gate_up, both, width, |out, values| {
-                Instructions::best().run(GegluKernel { width, values, out });
-            }),
+            Self::Silu => gated::<SiluGate>(gate_up, width),
+            Self::GeluTanh => gated::<GeluTanhGate>(gate_up, width),
             other => bail!("gates with {other:?} are not supported"),
         }
     }
+}
+
+fn gated<G: Gate>(gate_up: &Tensor, width: usize) -> Result<Tensor> {
+    row_by_row(gate_up, 2 * width, width, |out, values| {
+        Instructions::best().run(GatedKernel::<G> {
+            width,
+            values,
+            out,
+            gate: PhantomData,
+        });
+    })
 }
 
 /// σ(gate) · value of rows (gate, value), (tokens, 2 · width), to (tokens, width).
@@ -51,13 +59,10 @@ impl Activation {
 /// When the rows have an odd width.
 pub fn sigmoid_gated(rows: &Tensor) -> Result<Tensor> {
     let both = rows.dim(D::Minus1)?;
-    let width = both / 2;
     if both % 2 == 1 {
         bail!("rows of {both} numbers do not split into gates and values of equal width");
     }
-    row_by_row(rows, both, width, |out, values| {
-        Instructions::best().run(SigmoidGateKernel { width, values, out });
-    })
+    gated::<SigmoidGate>(rows, both / 2)
 }
 
 /// A share of a softmax below this becomes zero. Products with it would be subnormal, which made
@@ -155,57 +160,47 @@ fn map(values: &[f32], out: &mut [f32], function: impl Fn(f32) -> f32) {
     }
 }
 
-struct SwiGluKernel<'a> {
-    width: usize,
-    values: &'a [f32],
-    out: &'a mut [f32],
+/// The function of gates. A type of its own, so that it is inlined where the instructions are
+/// enabled.
+trait Gate {
+    fn apply(gate: f32) -> f32;
 }
 
-impl Kernel for SwiGluKernel<'_> {
+struct SiluGate;
+
+impl Gate for SiluGate {
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
-        for (out, row) in self
-            .out
-            .chunks_exact_mut(self.width)
-            .zip(self.values.chunks_exact(2 * self.width))
-        {
-            let (gates, values) = row.split_at(self.width);
-            for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
-                *out = gate * sigmoid(*gate) * value;
-            }
-        }
+    fn apply(gate: f32) -> f32 {
+        gate * sigmoid(gate)
     }
 }
 
-struct SigmoidGateKernel<'a> {
-    width: usize,
-    values: &'a [f32],
-    out: &'a mut [f32],
-}
+struct GeluTanhGate;
 
-impl Kernel for SigmoidGateKernel<'_> {
+impl Gate for GeluTanhGate {
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
-        for (out, row) in self
-            .out
-            .chunks_exact_mut(self.width)
-            .zip(self.values.chunks_exact(2 * self.width))
-        {
-            let (gates, values) = row.split_at(self.width);
-            for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
-                *out = sigmoid(*gate) * value;
-            }
-        }
+    fn apply(gate: f32) -> f32 {
+        gelu_tanh(gate)
     }
 }
 
-struct GegluKernel<'a> {
+struct SigmoidGate;
+
+impl Gate for SigmoidGate {
+    #[inline(always)]
+    fn apply(gate: f32) -> f32 {
+        sigmoid(gate)
+    }
+}
+
+struct GatedKernel<'a, G> {
     width: usize,
     values: &'a [f32],
     out: &'a mut [f32],
+    gate: PhantomData<G>,
 }
 
-impl Kernel for GegluKernel<'_> {
+impl<G: Gate> Kernel for GatedKernel<'_, G> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         for (out, row) in self
@@ -215,7 +210,7 @@ impl Kernel for GegluKernel<'_> {
         {
             let (gates, values) = row.split_at(self.width);
             for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
-                *out = gelu_tanh(*gate) * value;
+                *out = G::apply(*gate) * value;
             }
         }
     }

@@ -6,23 +6,20 @@ use crate::dilu::{Dilu, SetPoints};
 use crate::planner::{Handed, LanguagePlanner, Source};
 use crate::waypoints::SPACING_STEPS;
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
-use planagent_agent::planner::{
-    PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlanningCall,
-};
-use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerParts};
+use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerError};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
 use planagent_agent::simulation::ClosedLoop;
+use planagent_controls::foresight::{self, Foresight};
 use planagent_controls::search::{HORIZON, best, search_ahead};
 use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
-use planagent_world::{EgoState, HistorySample, Trajectory};
+use planagent_world::{EgoState, HistorySample, SceneView};
 
 /// Finds the best answer at the present of a simulation.
 pub(crate) type Find<A> = fn(&ClosedLoop<'static>, &A) -> Option<<A as LanguageAgent>::Answer>;
 
-/// An agent whose answers come from a search in a copy of the simulation that it takes part in.
-struct OracleAgent<A: LanguageAgent> {
-    shadow: ClosedLoop<'static>,
+/// An agent whose answers come from a search.
+struct AnswerOracle<A: LanguageAgent> {
     planner: LanguagePlanner<A>,
     handed: Handed<A::Answer>,
     find: Find<A>,
@@ -35,62 +32,34 @@ pub(crate) fn entry<A: LanguageAgent + 'static>(
     agent: impl Fn(&PlanAgentSettings) -> Result<A, PlannerError> + Send + Sync + 'static,
     find: Find<A>,
 ) -> PlannerEntry {
-    let build = move |parts: &PlannerParts<'_>| -> Result<Box<dyn Planner>, PlannerError> {
-        let shadow = parts.simulation.ok_or(PlannerError::MissingPart {
-            planner: parts.name,
-            part: "a simulation to look ahead in",
-        })?;
+    foresight::entry(name, summary, move |parts| {
         let handed = Handed::default();
         let source = Source::Handed(handed.clone());
         let agent = agent(parts.settings)?;
-        Ok(Box::new(OracleAgent {
-            shadow: shadow.clone(),
+        Ok(AnswerOracle {
             planner: LanguagePlanner::new(parts.name, agent, source, parts.settings.clone()),
             handed,
             find,
-        }))
-    };
-    PlannerEntry::new(
-        PlannerName::new(name),
-        summary,
-        PlannerNeeds::Simulation,
-        build,
-    )
+        })
+    })
 }
 
-impl<A: LanguageAgent> Planner for OracleAgent<A> {
-    fn name(&self) -> &str {
-        self.planner.name()
+impl<A: LanguageAgent> Foresight for AnswerOracle<A> {
+    fn planner(&self) -> &dyn Planner {
+        &self.planner
     }
 
-    fn initialize(
-        &mut self,
-        initialization: &PlannerInitialization<'_>,
-    ) -> Result<(), PlannerError> {
-        self.planner.initialize(initialization)
+    fn planner_mut(&mut self) -> &mut dyn Planner {
+        &mut self.planner
     }
 
-    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        if self.planner.begins_with_call(&input.scene) {
-            let found = (self.find)(&self.shadow, self.planner.agent());
-            self.handed.hand(found);
-        }
-        let trajectory = self.planner.compute_trajectory(input)?;
-        let name = self.planner.name().to_owned();
-        let failed = |source| PlannerError::Failed {
-            doing: "looking ahead",
-            source: Box::new(source),
-        };
-        self.shadow.advance(&trajectory, &name).map_err(failed)?;
-        Ok(trajectory)
+    fn begins_with_call(&self, scene: &SceneView<'_>) -> bool {
+        self.planner.begins_with_call(scene)
     }
 
-    fn calls(&self) -> &[PlanningCall] {
-        self.planner.calls()
-    }
-
-    fn take_calls(&mut self) -> Vec<PlanningCall> {
-        self.planner.take_calls()
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
+        let found = (self.find)(simulation, self.planner.agent());
+        self.handed.hand(found);
     }
 }
 

@@ -64,8 +64,9 @@ pub trait Conversation: Send {
     /// NaN, a server fails, or the request's deadline passes.
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError>;
 
-    /// As [`Self::ask`]. `on_text` gets the pieces of the answer as they are generated; joined,
-    /// they are its text. A backend that does not know the pieces gives the whole.
+    /// As [`Self::ask`]. `on_text` gets the pieces of the answer as they are generated. A backend
+    /// that does not know the pieces gives the whole. Joined, they are the answer's text, except
+    /// where a server's answer shows late that what came was reasoning: then the text counts.
     ///
     /// # Errors
     /// As [`Self::ask`].

@@ -10,15 +10,27 @@ const IMAGE_SIZES: std::ops::RangeInclusive<u32> = 32..=4096;
 /// The path of chat completions, after the version.
 const CHAT: &str = "/chat/completions";
 /// Other routes after the version, whose addresses people copy from examples.
-const ROUTES: [&str; 5] = [
+const ROUTES: [&str; 6] = [
     "/chat",
     "/completions",
     "/models",
     "/responses",
+    "/messages",
     "/embeddings",
 ];
-/// Routes of Ollama's own interface, beside which chat completions stand under `/v1`.
-const OLLAMA: [&str; 3] = ["/api/chat", "/api/generate", "/api/tags"];
+/// Routes of the own interfaces of Ollama, llama.cpp, Text Generation Inference and `SGLang`, beside
+/// which chat completions stand under `/v1`.
+const OWN: [&str; 7] = [
+    "/api/chat",
+    "/api/generate",
+    "/api/tags",
+    "/api/show",
+    "/completion",
+    "/generate",
+    "/generate_stream",
+];
+/// Ends of addresses of Gemini's own interface, whose chat completions stand under `/openai`.
+const GEMINI: [&str; 2] = [":generateContent", ":streamGenerateContent"];
 
 /// A model behind a server with OpenAI's chat completions.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -242,8 +254,13 @@ fn base_of(address: &str) -> String {
     if let Some(base) = address.strip_suffix(CHAT) {
         return trimmed(base);
     }
-    if let Some(server) = OLLAMA.iter().find_map(|route| address.strip_suffix(route)) {
+    if let Some(server) = OWN.iter().find_map(|route| address.strip_suffix(route)) {
         return format!("{}/v1", trimmed(server));
+    }
+    if let Some((version, _)) = address.rsplit_once("/models/")
+        && GEMINI.iter().any(|end| address.ends_with(end))
+    {
+        return format!("{}/openai", trimmed(version));
     }
     // Elsewhere such a part may be one of the address: a version stands before a route.
     let has_version = |base: &&str| {
@@ -351,12 +368,20 @@ mod tests {
             "127.0.0.1:8080/v1/responses",
             "http://127.0.0.1:8080/api/chat",
             "http://127.0.0.1:8080/api/tags",
+            "http://127.0.0.1:8080/v1/messages",
+            "http://127.0.0.1:8080/completion",
+            "http://127.0.0.1:8080/generate",
+            "127.0.0.1:8080/generate_stream/",
         ] {
             assert_eq!(url(endpoint).as_deref(), Ok(asked), "{endpoint}");
         }
         assert_eq!(
             url("http://127.0.0.1:1234").as_deref(),
             Ok("http://127.0.0.1:1234/chat/completions")
+        );
+        assert_eq!(
+            url("https://a.example/v1beta/models/gemini-flash:generateContent").as_deref(),
+            Ok("https://a.example/v1beta/openai/chat/completions")
         );
         // A part of the address that has the name of a route.
         assert_eq!(

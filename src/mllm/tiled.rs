@@ -64,8 +64,28 @@ pub(crate) trait Tiler: Debug + Send + Sync {
 
 /// Vision tower and projector.
 pub(crate) trait TileEncoder: Debug + Send + Sync {
-    /// Encodes pixel values (3, side, side) to (tokens of a tile, decoder width).
+    /// Encodes pixel values (3, height, width) to (tokens of a view, decoder width).
     fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor>;
+
+    /// Encodes the views of an image to (tokens of all views, decoder width).
+    fn encode_views(&self, views: &[Tensor]) -> candle_core::Result<Tensor> {
+        let rows = views.iter().map(|pixels| self.encode(pixels));
+        Tensor::cat(&rows.collect::<candle_core::Result<Vec<_>>>()?, 0)
+    }
+
+    /// The features of an image, whose layout was asked for.
+    fn features(
+        &self,
+        tiles: &Tiles,
+        layout: Result<ImageLayout, MllmError>,
+    ) -> candle_core::Result<ImageFeatures> {
+        let layout = layout.map_err(candle_core::Error::wrap)?;
+        Ok(ImageFeatures {
+            rows: self.encode_views(&tiles.pixels)?,
+            deep: Vec::new(),
+            layout,
+        })
+    }
 }
 
 /// What a family decides beside tiler and encoder.
@@ -133,13 +153,6 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
             info,
         })
     }
-
-    /// Encodes the views of an image, pixel values (3, side, side) each, to (views · tokens of a
-    /// tile, decoder width).
-    pub(crate) fn encode_views(&self, views: &[Tensor]) -> candle_core::Result<Tensor> {
-        let rows = views.iter().map(|pixels| self.encoder.encode(pixels));
-        Tensor::cat(&rows.collect::<candle_core::Result<Vec<_>>>()?, 0)
-    }
 }
 
 impl<T: Tiler, E: TileEncoder> VisionLanguageModel for TiledModel<T, E> {
@@ -180,14 +193,8 @@ impl<T: Tiler, E: TileEncoder> VisionLanguageModel for TiledModel<T, E> {
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let layout = self
-            .image_layout(tiles.width, tiles.height)
-            .map_err(candle_core::Error::wrap)?;
-        Ok(ImageFeatures {
-            rows: self.encode_views(&tiles.pixels)?,
-            deep: Vec::new(),
-            layout,
-        })
+        let layout = self.image_layout(tiles.width, tiles.height);
+        self.encoder.features(tiles, layout)
     }
 
     fn chat_format(

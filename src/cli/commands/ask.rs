@@ -20,6 +20,7 @@ use planagent_runs::report::fixed;
 use planagent_runs::runner::{Config, load_model};
 use planagent_world::{STEP_S, SceneView};
 use serde::Serialize;
+use std::io::IsTerminal;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -152,7 +153,7 @@ fn picture(
     Ok(Some(Arc::new(render(scene, &view))))
 }
 
-/// The answer; unless stdout carries JSON, its pieces are printed as they come.
+/// The answer. A terminal shows its pieces as they come; a file gets what is the answer in the end.
 fn asked(
     model: &dyn Mllm,
     prefix: &PromptPrefix,
@@ -162,9 +163,25 @@ fn asked(
     printer: Printer,
 ) -> Result<Answer, planagent_mllm::MllmError> {
     let mut conversation = model.converse(prefix, seed)?;
-    let answer = conversation.ask_aloud(prompt, request, &mut |piece| printer.piece(piece))?;
-    printer.piece("\n");
-    Ok(answer)
+    let (mut heard, is_terminal) = (String::new(), std::io::stdout().is_terminal());
+    let asked = conversation.ask_aloud(prompt, request, &mut |piece| {
+        heard.push_str(piece);
+        if is_terminal {
+            printer.piece(piece);
+        }
+    });
+    let whole = asked.as_ref().map_or(&heard, |answer| &answer.text);
+    if !is_terminal {
+        printer.piece(whole);
+    } else if *whole != heard {
+        printer.piece("\n");
+        printer.note("what came so far was the model's reasoning; this is the answer:");
+        printer.piece(whole);
+    }
+    if asked.is_ok() {
+        printer.piece("\n");
+    }
+    asked
 }
 
 /// Says how long an answer takes, where that is long.

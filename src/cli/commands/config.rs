@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use planagent_agent::reasoning::PromptSet;
 use planagent_files::write_whole;
 use planagent_mllm::MllmError;
-use planagent_runs::report::table::terminal::joined;
+use planagent_runs::report::table::terminal::{LineWidth, joined};
 use planagent_runs::runner::{Config, model_registry, silent};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -64,16 +64,26 @@ pub(crate) fn run(
         }
         // Neighbors may share an explanation.
         if let Some(about) = about.filter(|about| last != Some(*about)) {
-            let width = printer.line_width().columns() - COMMENT.len();
-            let words = about.split(' ').map(str::to_owned);
-            for text in joined(words, " ", width) {
-                printer.line(format!("{COMMENT}{text}"));
+            for text in comment(about, printer.line_width()) {
+                printer.line(text);
             }
         }
         last = about;
-        printer.line(line(key, &setting));
+        for text in lines(key, &setting, printer.line_width()) {
+            printer.line(text);
+        }
     }
     Ok(Exit::Success)
+}
+
+/// A sentence in lines of comments.
+fn comment(text: &str, width: LineWidth) -> Vec<String> {
+    let words = text.split(' ').map(str::to_owned);
+    let lines = joined(words, " ", width.columns() - COMMENT.len());
+    lines
+        .iter()
+        .map(|line| format!("{COMMENT}{line}"))
+        .collect()
 }
 
 /// Writes the commented file, and never over another one.
@@ -99,12 +109,20 @@ struct Explained<'a> {
     about: Option<&'a String>,
 }
 
-fn line(key: &str, Setting { value, origin, .. }: &Setting) -> String {
-    match value {
-        Some(value) => format!("{:<ORIGIN$} # {origin}", format!("{key} = {value}")),
-        None if origin == DEFAULT => format!("# {key} is not set"),
-        None => format!("{:<ORIGIN$} # {origin}", format!("# {key} is not set")),
+/// A setting with its origin beside it, or above it where a terminal is too narrow.
+fn lines(key: &str, Setting { value, origin, .. }: &Setting, width: LineWidth) -> Vec<String> {
+    let assigned = match value {
+        Some(value) => format!("{key} = {value}"),
+        None if origin == DEFAULT => return vec![format!("# {key} is not set")],
+        None => format!("# {key} is not set"),
+    };
+    let line = format!("{assigned:<ORIGIN$} # {origin}");
+    if width == LineWidth::PIPE || line.chars().count() <= width.columns() {
+        return vec![line];
     }
+    let mut above = comment(origin, width);
+    above.push(assigned);
+    above
 }
 
 /// What names the prompt set of the configured model, and where its templates are.

@@ -1,8 +1,8 @@
 //! One question to the server, with retries after transient failures.
 
 use super::ahead::Ahead;
-use super::hints::{Refusal, other_protocol, other_route, without_version};
-use super::image_form::{wants_text, with_text};
+use super::forms::Forms;
+use super::hints::{Refusal, names_address, other_protocol, other_route, without_version};
 use super::key::ApiKey;
 use super::models::{Offered, named, offered};
 use super::packed::unpacked;
@@ -16,7 +16,7 @@ use reqwest::header::{AUTHORIZATION, LOCATION};
 use reqwest::redirect::Policy;
 use serde_json::Value;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::time::Duration;
 
 /// Time limit of the list of models that explains a failure.
@@ -34,8 +34,8 @@ pub(super) struct Client {
     /// Whether a question waited in vain for a server that loads its model. Later ones do not wait
     /// again.
     waited: AtomicBool,
-    /// Whether the server takes the address of a picture as a text alone.
-    picture_as_text: AtomicBool,
+    /// The forms of requests that the server takes, as [`Forms`].
+    forms: AtomicU8,
 }
 
 /// A request for a chat completion.
@@ -91,7 +91,7 @@ impl Client {
             timeout,
             answered: AtomicBool::new(false),
             waited: AtomicBool::new(false),
-            picture_as_text: AtomicBool::new(false),
+            forms: AtomicU8::default(),
         })
     }
 
@@ -112,26 +112,27 @@ impl Client {
                 on_text(text);
             }
         };
-        if !self.picture_as_text.load(Ordering::Relaxed) {
+        let mut forms = Forms(self.forms.load(Ordering::Relaxed));
+        // Each turn adds a form, and there are few.
+        loop {
+            let body = forms.applied(question.body);
+            let question = Question {
+                body: &body,
+                ..question
+            };
             let result = self.asked_with_retries(question, listens, &mut pass_on)?;
-            match &result {
-                Err(EndpointFailure::Refused { status, message })
-                    if wants_text(*status, message, question.body) => {}
-                _ => {
-                    return result.map_err(|failure| self.error(self.explained(failure, question)));
+            let mut kept = forms;
+            if let Err(EndpointFailure::Refused { status, message }) = &result {
+                if let Some(wanted) = forms.with_wanted(*status, message, &body) {
+                    forms = wanted;
+                    continue;
                 }
+                // Remembered only once it worked: a request may be refused for another reason.
+                kept = Forms::default();
             }
+            self.forms.store(kept.0, Ordering::Relaxed);
+            return result.map_err(|failure| self.error(self.explained(failure, question)));
         }
-        let body = with_text(question.body);
-        let question = Question {
-            body: &body,
-            ..question
-        };
-        let result = self.asked_with_retries(question, listens, &mut pass_on)?;
-        // Remembered only once it worked: a request may be refused for another reason.
-        let refused = matches!(result, Err(EndpointFailure::Refused { .. }));
-        self.picture_as_text.store(!refused, Ordering::Relaxed);
-        result.map_err(|failure| self.error(self.explained(failure, question)))
     }
 
     /// The server's answer, or its last failure.
@@ -228,6 +229,7 @@ impl Client {
         let response = self.sent(self.http.post(self.url.clone()).timeout(limit).json(body))?;
         let listen = Listen {
             hide: &|text: &str| self.hide(text),
+            asked: self.url.as_str(),
             whole,
             on_text,
         };
@@ -343,7 +345,9 @@ impl Client {
                 }
             }
             EndpointFailure::InvalidReply(_) if is_first => {
-                EndpointFailure::Unusable(with(failure.to_string(), without_version(&self.url)))
+                let text = failure.to_string();
+                let advice = without_version(&self.url).filter(|_| !names_address(&text));
+                EndpointFailure::Unusable(with(text, advice))
             }
             // One that answered before loads another model between, and will answer again.
             EndpointFailure::Loading {

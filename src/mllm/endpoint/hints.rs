@@ -193,6 +193,11 @@ pub(super) fn without_version(url: &Url) -> Option<String> {
     ))
 }
 
+/// Whether a failure names an address to try.
+pub(super) fn names_address(text: &str) -> bool {
+    text.contains("try --model ")
+}
+
 /// Where most servers have their list of models, if another address was asked.
 pub(super) fn other_route(url: &Url) -> Option<String> {
     let usual = format!("{}/v1", url.origin().ascii_serialization());

@@ -4,9 +4,9 @@
 mod ahead;
 mod chat;
 mod client;
+mod forms;
 mod grammar;
 mod hints;
-mod image_form;
 mod key;
 mod models;
 mod packed;

@@ -11,6 +11,8 @@ mod writer;
 #[cfg(test)]
 mod header_tests;
 #[cfg(test)]
+mod left_out_tests;
+#[cfg(test)]
 mod odd_files_tests;
 #[cfg(test)]
 mod rope_scaling_tests;

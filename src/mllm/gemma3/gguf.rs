@@ -42,7 +42,9 @@ const NAMES: Names = Names {
 const PROJECTOR: &str = "gemma3";
 /// The token of an image. A file whose tokenizer ends before it gets it behind all others.
 const SOFT: &str = "<image_soft_token>";
-/// Side of the blocks of patches that become a token, where a file does not say it.
+/// Key of the side of the blocks of patches that become a token.
+const SCALE: &str = "clip.vision.projector.scale_factor";
+/// Their side where a file does not say it.
 const POOL: usize = 4;
 
 /// The files of a Gemma 3 with vision.
@@ -61,18 +63,20 @@ impl GgufLayout for Gemma3Gguf {
         &self,
         decoder: &Header,
         tower: Option<&Header>,
-        _notes: &mut Vec<String>,
+        notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let tower = tower.ok_or_else(|| no_tower(decoder, "its configuration"))?;
-        tower.check_activation("gelu")?;
-        let mut files = TextFiles::read(decoder)?;
+        tower.check_activation("gelu", notes)?;
+        let mut files = TextFiles::read(decoder, notes)?;
         let mut vision = tower.vision_config()?;
         // llama.cpp writes one word for both forms of this activation; transformers' class has the
         // one by tanh.
         vision["hidden_act"] = json!("gelu_pytorch_tanh");
-        let pool = tower
-            .count_or_none("clip.vision.projector.scale_factor")?
-            .unwrap_or(POOL);
+        let pool = tower.count_or_none(SCALE)?;
+        if pool.is_none() {
+            notes.push(tower.taken(SCALE, POOL));
+        }
+        let pool = pool.unwrap_or(POOL);
         let patch = tower.required_count("clip.vision.patch_size")?.max(1);
         let size = tower.required_count("clip.vision.image_size")?;
         let side = size / patch / pool.max(1);

@@ -9,9 +9,8 @@ use serde_json::{Value, json};
 /// The value of `general.architecture`.
 pub(crate) const ARCHITECTURE: &str = "gemma3";
 
-/// Bases of the rotary embedding of global and local layers where a file has none: older files
-/// name that of global layers alone.
-const THETA: f64 = 1_000_000.0;
+/// The base of the rotary embedding of local layers where a file has none: older files name that of
+/// global layers alone.
 const LOCAL_THETA: f64 = 10_000.0;
 /// Layers from a global one to the next, where a file does not say it.
 const PATTERN: usize = 6;
@@ -19,11 +18,16 @@ const PATTERN: usize = 6;
 /// weights), as llama.cpp knows it; no key says it.
 const LAYERS_OF_27B: u64 = 62;
 
+const LOCAL_BASE: &str = "gemma3.rope.freq_base_swa";
 const WINDOW: &str = "gemma3.attention.sliding_window";
 const EVERY: &str = "gemma3.attention.sliding_window_pattern";
 
 /// Adds the keys of Gemma 3 to a `text_config`.
-pub(super) fn add_keys(header: &Header, config: &mut Value) -> Result<(), MllmError> {
+pub(super) fn add_keys(
+    header: &Header,
+    config: &mut Value,
+    notes: &mut Vec<String>,
+) -> Result<(), MllmError> {
     let number = |config: &Value, key: &str| config[key].as_u64().unwrap_or(1);
     let (layers, hidden) = (
         number(config, "num_hidden_layers"),
@@ -37,8 +41,10 @@ pub(super) fn add_keys(header: &Header, config: &mut Value) -> Result<(), MllmEr
     };
     config["query_pre_attn_scalar"] = json!(scalar);
     config["hidden_activation"] = json!("gelu_pytorch_tanh");
-    config["rope_theta"] = json!(header.number("gemma3.rope.freq_base")?.unwrap_or(THETA));
-    let local = header.number_or_none("gemma3.rope.freq_base_swa")?;
+    let local = header.number_or_none(LOCAL_BASE)?;
+    if local.is_none() {
+        notes.push(header.taken(LOCAL_BASE, LOCAL_THETA));
+    }
     config["rope_local_base_freq"] = json!(local.unwrap_or(LOCAL_THETA));
     config["sliding_window"] = json!(header.required_count(WINDOW)?);
     config["sliding_window_pattern"] = json!(header.count(EVERY)?.unwrap_or(PATTERN));
@@ -64,9 +70,6 @@ pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
     }
     Ok(vec![
         (WINDOW.to_owned(), json!(gemma.window)),
-        (
-            "gemma3.rope.freq_base_swa".to_owned(),
-            json!(gemma.local_rope.theta),
-        ),
+        (LOCAL_BASE.to_owned(), json!(gemma.local_rope.theta)),
     ])
 }

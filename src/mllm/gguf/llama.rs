@@ -26,6 +26,8 @@ const ARCHITECTURES: [(&str, &str); 8] = [
 ];
 /// The architectures whose axes take turns in the rotary embedding; their files do not say so.
 const INTERLEAVED: [&str; 2] = ["qwen3vl", qwen35::ARCHITECTURE];
+/// The architectures whose positions have three axes.
+const THREE_AXES: [&str; 3] = ["qwen2vl", "qwen3vl", qwen35::ARCHITECTURE];
 
 /// The base of the rotary embedding where a file has none (`rope_freq_base_train` in llama.cpp).
 const DEFAULT_THETA: f64 = 10_000.0;
@@ -49,8 +51,9 @@ pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
     ARCHITECTURES.into_iter().find(is_of).map(|(name, _)| name)
 }
 
-/// The `text_config` of a decoder.
-pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
+/// The `text_config` of a decoder. What llama.cpp requires is required; a key with a default there
+/// has this default, and a note says so.
+pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Value, MllmError> {
     let architecture = header.architecture()?;
     let Some((_, model_type)) = ARCHITECTURES
         .into_iter()
@@ -85,10 +88,13 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     } else {
         header.count(&key("attention.head_count_kv"))?
     };
-    let kv_heads = key_heads.unwrap_or(heads);
     let head_dim = header
         .count(&key("attention.key_length"))?
         .unwrap_or(hidden / heads);
+    let kv_heads = match key_heads {
+        Some(key_heads) => key_heads,
+        None => as_many_key_heads(header, &key("attention.head_count_kv"), heads, head_dim)?,
+    };
     if let Some(rotated) = header
         .count(&key("rope.dimension_count"))?
         .filter(|rotated| *rotated != head_dim && architecture != qwen35::ARCHITECTURE)
@@ -121,9 +127,8 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         "num_key_value_heads": kv_heads,
         "head_dim": head_dim,
         "max_position_embeddings": header.required_count(&key("context_length"))?,
-        "rms_norm_eps": header.number(&key("attention.layer_norm_rms_epsilon"))?,
-        // Left out, it is llama.cpp's default, not that of a class of transformers.
-        "rope_theta": header.number(&key("rope.freq_base"))?.unwrap_or(DEFAULT_THETA),
+        "rms_norm_eps": header.required_number(&key("attention.layer_norm_rms_epsilon"))?,
+        "rope_theta": theta(header, &key("rope.freq_base"), notes)?,
         "sliding_window": window,
         // The first layer may have no attention.
         "attention_bias": header.tensors.keys().any(|name| name.ends_with(".attn_q.bias")),
@@ -139,11 +144,17 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
                 || header.number_or_none(&key("rope.scale_linear")),
                 |factor| Ok(Some(factor)),
             )?;
-            if let Some(factor) = factor {
-                config["rope_scaling"] = json!({"type": "linear", "factor": factor});
+            match factor {
+                Some(factor) => {
+                    config["rope_scaling"] = json!({"type": "linear", "factor": factor});
+                }
+                None if header.metadata.contains_key(&key("rope.scaling.type")) => {
+                    notes.push(header.taken(&key("rope.scaling.factor"), 1));
+                }
+                None => {}
             }
         }
-        Some("yarn") => config["rope_scaling"] = yarn(header, &key)?,
+        Some("yarn") => config["rope_scaling"] = yarn(header, &key, notes)?,
         Some(other) => {
             return Err(header.error(
                 &key("rope.scaling.type"),
@@ -152,7 +163,7 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         }
     }
     if architecture == gemma::ARCHITECTURE {
-        gemma::add_keys(header, &mut config)?;
+        gemma::add_keys(header, &mut config, notes)?;
     }
     if architecture == lfm2::ARCHITECTURE {
         lfm2::add_keys(header, &mut config)?;
@@ -160,25 +171,69 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     if architecture == qwen35::ARCHITECTURE {
         qwen35::add_keys(header, &mut config)?;
     }
-    if let Some(sections) =
-        header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?
-    {
-        config["rope_scaling"]["mrope_section"] = json!(sections.get(..3));
-        config["rope_scaling"]["mrope_interleaved"] = json!(INTERLEAVED.contains(&architecture));
+    let three = |value: &Value| {
+        let counts: Option<Vec<u64>> = value.as_array()?.iter().map(Value::as_u64).collect();
+        counts?.get(..3).map(<[u64]>::to_vec)
+    };
+    let sections_key = key("rope.dimension_sections");
+    match header.typed(&sections_key, "a list of three counts or more", three)? {
+        Some(sections) => {
+            config["rope_scaling"]["mrope_section"] = json!(sections);
+            config["rope_scaling"]["mrope_interleaved"] =
+                json!(INTERLEAVED.contains(&architecture));
+        }
+        None if THREE_AXES.contains(&architecture) => return Err(header.missing(&sections_key)),
+        None => {}
     }
     Ok(config)
 }
 
+/// The base of the rotary embedding.
+fn theta(header: &Header, key: &str, notes: &mut Vec<String>) -> Result<f64, MllmError> {
+    let named = header.number(key)?;
+    if named.is_none() {
+        notes.push(header.taken(key, DEFAULT_THETA));
+    }
+    Ok(named.unwrap_or(DEFAULT_THETA))
+}
+
+/// The heads of keys of a file that does not say them: as many as heads, if its weights agree.
+fn as_many_key_heads(
+    header: &Header,
+    key: &str,
+    heads: usize,
+    head_dim: usize,
+) -> Result<usize, MllmError> {
+    let keys = header.tensors.get("blk.0.attn_k.weight");
+    match keys.and_then(|place| place.shape.first()) {
+        Some(&rows) if rows != heads.saturating_mul(head_dim) => {
+            let problem = format!(
+                "is missing from the metadata, and the {rows} rows of keys are not those of {heads} heads"
+            );
+            Err(header.error(key, problem))
+        }
+        _ => Ok(heads),
+    }
+}
+
 /// The `rope_scaling` of a decoder with `YaRN`. llama.cpp's converter writes transformers' keys
 /// under its own names; a factor that is left out is 1 there.
-fn yarn(header: &Header, key: &dyn Fn(&str) -> String) -> Result<Value, MllmError> {
+fn yarn(
+    header: &Header,
+    key: &dyn Fn(&str) -> String,
+    notes: &mut Vec<String>,
+) -> Result<Value, MllmError> {
     let number = |name: &str| header.number_or_none(&key(&format!("rope.scaling.{name}")));
     // 1 is its default. Others mix in what transformers does not know.
     if let Some(mix) = number("yarn_ext_factor")?.filter(|mix| (mix - 1.0).abs() > 1e-6) {
         let problem = format!("{mix} is not supported; 1 is");
         return Err(header.error(&key("rope.scaling.yarn_ext_factor"), problem));
     }
-    let factor = number("factor")?.unwrap_or(1.0);
+    let named = number("factor")?;
+    if named.is_none() {
+        notes.push(header.taken(&key("rope.scaling.factor"), 1));
+    }
+    let factor = named.unwrap_or(1.0);
     let scale = number("attn_factor")?.unwrap_or(1.0);
     let named = number("yarn_attn_factor")?;
     let attention = named.unwrap_or_else(|| Yarn::advised_attention(factor, 1.0)) * scale;

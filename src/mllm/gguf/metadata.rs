@@ -9,6 +9,10 @@ use std::sync::PoisonError;
 
 /// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;
+/// The epsilon of a tower's norms.
+const TOWER_EPSILON: &str = "clip.vision.attention.layer_norm_epsilon";
+/// The configuration of images, which a user may put beside a GGUF file.
+const PROCESSOR: &str = "preprocessor_config.json";
 
 impl Header {
     pub(crate) fn error(&self, key: &str, problem: impl Into<String>) -> MllmError {
@@ -32,7 +36,7 @@ impl Header {
             .fold(0, u64::saturating_add)
     }
 
-    fn missing(&self, key: &str) -> MllmError {
+    pub(super) fn missing(&self, key: &str) -> MllmError {
         self.error(key, "is missing from the metadata")
     }
 
@@ -119,6 +123,19 @@ impl Header {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
 
+    /// A number without which llama.cpp does not open a file either.
+    pub(crate) fn required_number(&self, key: &str) -> Result<f64, MllmError> {
+        self.number(key)?.ok_or_else(|| self.missing(key))
+    }
+
+    /// A note about a key that is left out, and what llama.cpp takes then.
+    pub(crate) fn taken(&self, key: &str, default: impl std::fmt::Display) -> String {
+        format!(
+            "{}: the key {key} is missing; {default} is taken, as llama.cpp does",
+            self.path.display()
+        )
+    }
+
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
         self.typed(key, "a positive number", |value| {
             value.as_f64().filter(|number| *number > 0.0)
@@ -149,13 +166,23 @@ impl Header {
     }
 
     /// Mean and deviation of a tower's pixels, as an image processor's configuration has them.
+    ///
+    /// # Errors
+    /// When the file has none, and no configuration beside it has them.
     pub(crate) fn pixel_scale(&self) -> Result<Value, MllmError> {
         let mut scale = json!({});
-        for key in ["image_mean", "image_std"] {
-            if let Some(values) =
-                self.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")?
-            {
-                scale[key] = json!(values);
+        let is_beside = self.path.with_file_name(PROCESSOR).is_file();
+        for name in ["image_mean", "image_std"] {
+            let key = format!("clip.vision.{name}");
+            match self.list::<f64>(&key, "a list of numbers")? {
+                Some(values) => scale[name] = json!(values),
+                None if is_beside => {}
+                None => {
+                    let problem = format!(
+                        "is missing from the metadata; put the model's {PROCESSOR} beside the file"
+                    );
+                    return Err(self.error(&key, problem));
+                }
             }
         }
         Ok(scale)
@@ -170,16 +197,39 @@ impl Header {
             "num_attention_heads": self.required_count("clip.vision.attention.head_count")?,
             "image_size": self.required_count("clip.vision.image_size")?,
             "patch_size": self.required_count("clip.vision.patch_size")?,
-            "layer_norm_eps": self.number("clip.vision.attention.layer_norm_epsilon")?,
+            "layer_norm_eps": self.required_number(TOWER_EPSILON)?,
         }))
     }
 
-    /// Checks that a tower has the activation that its family takes for granted.
-    pub(crate) fn check_activation(&self, expected: &str) -> Result<(), MllmError> {
+    /// Checks that the norms of a tower have the epsilon that its family takes for granted.
+    pub(crate) fn check_epsilon(&self, expected: f64) -> Result<(), MllmError> {
+        let found = self.required_number(TOWER_EPSILON)?;
+        // A file has 32 bits of it.
+        if (found / expected - 1.0).abs() < 1e-6 {
+            return Ok(());
+        }
+        let problem = format!("{found:e} is not supported for this model; {expected:e} is");
+        Err(self.error(TOWER_EPSILON, problem))
+    }
+
+    /// Checks that a tower has the activation that its family takes for granted. A file that does
+    /// not say it is noted: llama.cpp would take CLIP's.
+    pub(crate) fn check_activation(
+        &self,
+        expected: &str,
+        notes: &mut Vec<String>,
+    ) -> Result<(), MllmError> {
         const GELU: &str = "clip.use_gelu";
         const SILU: &str = "clip.use_silu";
         let found = match (self.flag(GELU)?, self.flag(SILU)?) {
-            (None, None) => return Ok(()),
+            (None, None) if expected == "quick_gelu" => return Ok(()),
+            (None, None) => {
+                notes.push(format!(
+                    "{}: the keys {GELU} and {SILU} are missing; the activation of the family is taken, {expected}",
+                    self.path.display()
+                ));
+                return Ok(());
+            }
             (_, Some(true)) => "silu",
             (Some(true), _) => "gelu",
             _ => "quick_gelu",

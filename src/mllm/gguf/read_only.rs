@@ -79,7 +79,7 @@ impl GgufLayout for ReadOnlyLayout {
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let tower = tower.ok_or_else(|| no_tower(decoder, "its configuration"))?;
-        let mut files = TextFiles::read(decoder)?;
+        let mut files = TextFiles::read(decoder, notes)?;
         let VisionFiles {
             mut config,
             processor,

@@ -13,9 +13,9 @@ pub(crate) struct TextFiles {
 }
 
 impl TextFiles {
-    pub(crate) fn read(decoder: &Header) -> Result<Self, MllmError> {
+    pub(crate) fn read(decoder: &Header, notes: &mut Vec<String>) -> Result<Self, MllmError> {
         const KEY: &str = "tokenizer.chat_template";
-        let text_config = llama::text_config(decoder)?;
+        let text_config = llama::text_config(decoder, notes)?;
         let vocabulary = text_config["vocab_size"]
             .as_u64()
             .expect("the configuration of a decoder says its vocabulary")
@@ -42,7 +42,7 @@ impl TextFiles {
     pub(crate) fn added_id(&self, decoder: &Header, token: &str) -> Result<u64, MllmError> {
         tokenizer::added_id(&self.tokenizer, token).ok_or_else(|| MllmError::Tokenizer {
             path: tokenizer::place(decoder),
-            problem: format!("the special token {token} is missing"),
+            problem: format!("the special token {token} is missing{}", untyped(decoder)),
         })
     }
 
@@ -66,5 +66,16 @@ impl TextFiles {
 
     pub(crate) fn into_files(self) -> BTreeMap<String, String> {
         self.files
+    }
+}
+
+/// Why a decoder's tokenizer may have no special tokens.
+fn untyped(decoder: &Header) -> String {
+    const TYPES: &str = "tokenizer.ggml.token_type";
+    let is_typed = decoder.metadata.contains_key(TYPES);
+    if is_typed || decoder.path.with_file_name(TOKENIZER).is_file() {
+        String::new()
+    } else {
+        format!("; the file has no {TYPES}, so put the model's {TOKENIZER} beside it")
     }
 }

@@ -7,6 +7,7 @@ use crate::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageMod
 use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
+use crate::tiled::TileEncoder;
 use crate::tiled::Tiler;
 use candle_core::Tensor;
 use serde_json::json;
@@ -130,7 +131,7 @@ fn features(rows: Tensor) -> ImageFeatures {
 }
 
 fn encoded(model: &InternVl, views: &[Tensor]) -> ImageFeatures {
-    features(model.encode_views(views).unwrap())
+    features(model.encoder.encode_views(views).unwrap())
 }
 
 /// The features of a model whose connector takes the axes in another order.

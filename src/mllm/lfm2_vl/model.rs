@@ -14,7 +14,7 @@ use crate::family::{
 };
 use crate::template_format::{ImageText, TemplateFormat};
 use crate::text::ChatTokenizer;
-use candle_core::Tensor;
+use crate::tiled::TileEncoder;
 use image::RgbImage;
 
 /// An LFM2-VL.
@@ -48,12 +48,6 @@ impl Lfm2Vl {
             info,
         })
     }
-
-    /// Encodes the views of a picture, pixel values (3, height, width) each.
-    pub(super) fn encode_views(&self, views: &[Tensor]) -> candle_core::Result<Tensor> {
-        let rows = views.iter().map(|pixels| self.encoder.encode(pixels));
-        Tensor::cat(&rows.collect::<candle_core::Result<Vec<_>>>()?, 0)
-    }
 }
 
 impl VisionLanguageModel for Lfm2Vl {
@@ -83,14 +77,8 @@ impl VisionLanguageModel for Lfm2Vl {
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let layout = self
-            .image_layout(tiles.width, tiles.height)
-            .map_err(candle_core::Error::wrap)?;
-        Ok(ImageFeatures {
-            rows: self.encode_views(&tiles.pixels)?,
-            deep: Vec::new(),
-            layout,
-        })
+        let layout = self.image_layout(tiles.width, tiles.height);
+        self.encoder.features(tiles, layout)
     }
 
     fn chat_format(

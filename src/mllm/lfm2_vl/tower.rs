@@ -4,6 +4,7 @@
 use super::config::Lfm2VlConfig;
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
+use crate::tiled::TileEncoder;
 use crate::vision::{Part, VisionLayer, merge_blocks, unfold};
 use candle_core::{Device, Tensor};
 use planagent_kernels::matrix::Matrix;
@@ -80,32 +81,6 @@ impl ViewEncoder {
         })
     }
 
-    /// Encodes pixel values (3, height, width) of whole tokens to (tokens, decoder width).
-    pub(super) fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let grid = [1, 2].map(|side| {
-            pixels
-                .dims()
-                .get(side)
-                .map_or(0, |side| side / self.patch_size)
-        });
-        let [rows, columns] = grid;
-        let patches = self
-            .patch_embedding
-            .forward(&unfold(pixels, self.patch_size)?)?;
-        let mut x = (patches + self.positions(grid)?)?;
-        let parts = Part::images(1, rows * columns);
-        for layer in &self.layers {
-            x = layer.forward(&x, &parts)?;
-        }
-        let blocks = merge_blocks(&self.post_norm.forward(&x)?, grid, self.downsample)?;
-        let blocks = match &self.projector_norm {
-            Some(norm) => norm.forward(&blocks)?,
-            None => blocks,
-        };
-        self.second
-            .forward(&self.act.forward(&self.first.forward(&blocks)?)?)
-    }
-
     /// The learned positions of a grid of patches: interpolated, and averaged where the grid is
     /// smaller than the learned one (bilinear with antialias).
     fn positions(&self, [rows, columns]: [usize; 2]) -> candle_core::Result<Tensor> {
@@ -132,6 +107,34 @@ impl ViewEncoder {
             }
         }
         Tensor::from_vec(positions, (rows * columns, self.hidden), &Device::Cpu)
+    }
+}
+
+impl TileEncoder for ViewEncoder {
+    /// The pixel values are those of whole tokens.
+    fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+        let grid = [1, 2].map(|side| {
+            pixels
+                .dims()
+                .get(side)
+                .map_or(0, |side| side / self.patch_size)
+        });
+        let [rows, columns] = grid;
+        let patches = self
+            .patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?;
+        let mut x = (patches + self.positions(grid)?)?;
+        let parts = Part::images(1, rows * columns);
+        for layer in &self.layers {
+            x = layer.forward(&x, &parts)?;
+        }
+        let blocks = merge_blocks(&self.post_norm.forward(&x)?, grid, self.downsample)?;
+        let blocks = match &self.projector_norm {
+            Some(norm) => norm.forward(&blocks)?,
+            None => blocks,
+        };
+        self.second
+            .forward(&self.act.forward(&self.first.forward(&blocks)?)?)
     }
 }
 

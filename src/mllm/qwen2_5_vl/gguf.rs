@@ -34,6 +34,8 @@ const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// say them.
 const MERGE: usize = 2;
 const WINDOW: usize = 112;
+/// Epsilon of the tower's norms, which transformers' class has no key for.
+const EPSILON: f64 = 1e-6;
 /// Key of the distance of layers that attend to the whole image.
 const WHOLE_EVERY: &str = "clip.vision.n_wa_pattern";
 
@@ -51,7 +53,8 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
-    tower.check_activation("silu")?;
+    tower.check_activation("silu", notes)?;
+    tower.check_epsilon(EPSILON)?;
     let sizes = tower.vision_config()?;
     let layers = tower.required_count("clip.vision.block_count")?;
     let every = tower.required_count(WHOLE_EVERY)?;

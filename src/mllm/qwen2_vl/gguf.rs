@@ -16,6 +16,8 @@ const NAMES: Names = Names {
 const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// Side of the blocks of patches that become a token; the files do not say it.
 const MERGE: usize = 2;
+/// Epsilon of the tower's norms, which transformers' class has no key for.
+const EPSILON: f64 = 1e-6;
 /// The first layer of the feed-forward part, in the first layer of the tower.
 const UP: &str = "v.blk.0.ffn_up.weight";
 /// The last layer of the merger.
@@ -35,7 +37,8 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
-    tower.check_activation("quick_gelu")?;
+    tower.check_activation("quick_gelu", notes)?;
+    tower.check_epsilon(EPSILON)?;
     let sizes = tower.vision_config()?;
     let hidden = tower.required_count("clip.vision.embedding_length")?;
     let merge = tower

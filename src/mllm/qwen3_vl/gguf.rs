@@ -38,6 +38,8 @@ pub(crate) const QWEN_NAMES: [Pair; 13] = [
 ];
 
 const DEEP: &str = "v.deepstack.";
+/// Key of the layers that have these.
+const DEEP_LAYERS: &str = "clip.vision.is_deepstack_layers";
 const NAMES: Names = Names {
     single: &QWEN_NAMES,
     layers: &[
@@ -57,6 +59,9 @@ const NAMES: Names = Names {
 
 /// What the files of a tower for any size have no key for.
 pub(crate) const LACKING: &str = "the limits of an image's pixels";
+/// Key of the side of the blocks of patches that become a token, and llama.cpp's default.
+const MERGE_KEY: &str = "clip.vision.spatial_merge_size";
+const MERGE: usize = 2;
 /// The placeholder of an image.
 pub(crate) const IMAGE: &str = "<|image_pad|>";
 /// Least and most pixels of the published processor.
@@ -64,10 +69,11 @@ const PIXELS: [u64; 2] = [65_536, 16_777_216];
 
 /// The layers of the tower whose outputs go to the decoder.
 fn deep_layers(tower: &Header) -> Result<Vec<usize>, MllmError> {
-    let flags: Option<Vec<bool>> = tower.list(
-        "clip.vision.is_deepstack_layers",
-        "a list of true and false",
-    )?;
+    let flags: Option<Vec<bool>> = tower.list(DEEP_LAYERS, "a list of true and false")?;
+    if flags.is_none() && tower.tensors.keys().any(|name| name.starts_with(DEEP)) {
+        let problem = "is missing from the metadata, and the file has mergers of such layers";
+        return Err(tower.error(DEEP_LAYERS, problem));
+    }
     let flags = flags.unwrap_or_default();
     Ok(flags
         .iter()
@@ -119,11 +125,15 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 
 /// The small files of a tower.
 pub(crate) fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
-    tower.check_activation("gelu")?;
+    tower.check_activation("gelu", notes)?;
     let sizes = tower.vision_config()?;
     let patch = tower.required_count("clip.vision.patch_size")?;
     let side = tower.required_count("clip.vision.image_size")? / patch.max(1);
-    let merge = tower.count("clip.vision.spatial_merge_size")?.unwrap_or(2);
+    let merge = tower.count(MERGE_KEY)?;
+    if merge.is_none() {
+        notes.push(tower.taken(MERGE_KEY, MERGE));
+    }
+    let merge = merge.unwrap_or(MERGE);
     let config = json!({
         "vision_config": {
             "depth": sizes["num_hidden_layers"],

@@ -51,7 +51,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
-    tower.check_activation("gelu")?;
+    tower.check_activation("gelu", notes)?;
     let mut vision = tower.vision_config()?;
     vision["hidden_act"] = json!("gelu_pytorch_tanh");
     let tile = tower.required_count("clip.vision.image_size")?;

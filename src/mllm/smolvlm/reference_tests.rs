@@ -8,6 +8,7 @@ use crate::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageMod
 use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
+use crate::tiled::TileEncoder;
 use crate::tiled::{Grid, Tiler};
 use candle_core::Tensor;
 use serde_json::json;
@@ -169,7 +170,8 @@ fn errors_that_are_easily_made_lead_far_away() {
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     Deviation::print_heading(&folder);
     let right = assembled(&Parts::from_folder(&folder));
-    let encoded = |model: &SmolVlm, views: &[Tensor]| features(model.encode_views(views).unwrap());
+    let encoded =
+        |model: &SmolVlm, views: &[Tensor]| features(model.encoder.encode_views(views).unwrap());
     Deviation::from_run(&run, &right, &encoded(&right, &run.pixels)).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));

@@ -186,7 +186,12 @@ fn small_files(
             .find(|layout| layout.opens(decoder, tower))
             .map_or_else(|| Err(unknown_pair(decoder, tower)?), Ok)?;
         texts.extend(layout.small_files(decoder, tower, notes)?);
-        check_layers(decoder)?;
+        let block_count = format!("{}.block_count", decoder.architecture()?);
+        check_layers(decoder, &block_count, "blk.", true)?;
+        if let Some(tower) = tower {
+            // Older files of LLaVA have the layer that is not used.
+            check_layers(tower, "clip.vision.block_count", "v.blk.", false)?;
+        }
         notes.extend(tokenizer::note(decoder)?);
         for header in [Some(decoder), tower].into_iter().flatten() {
             unread_keys::check(header, notes)?;
@@ -204,23 +209,25 @@ fn small_files(
     Ok(files)
 }
 
-/// Checks that a decoder has no more layers than it says: the model would be another one without a
-/// word.
-fn check_layers(decoder: &Header) -> Result<(), MllmError> {
-    let key = format!("{}.block_count", decoder.architecture()?);
-    let count = decoder.required_count(&key)?;
+/// Checks that a file has no more layers than it says, unless `all` is false: the model would be
+/// another one without a word. And that it has no fewer.
+fn check_layers(header: &Header, key: &str, prefix: &str, all: bool) -> Result<(), MllmError> {
+    let count = header.required_count(key)?;
     let number = |name: &str| {
-        let (number, _) = name.strip_prefix("blk.")?.split_once('.')?;
+        let (number, _) = name.strip_prefix(prefix)?.split_once('.')?;
         number.parse::<usize>().ok()
     };
-    let numbers = decoder.tensors.keys().filter_map(|name| number(name));
-    match numbers.max() {
-        Some(last) if last >= count => {
-            let problem = format!("is {count}, and the file has a tensor of layer {last} (from 0)");
-            Err(decoder.error(&key, problem))
+    let numbers = header.tensors.keys().filter_map(|name| number(name));
+    let problem = match numbers.max() {
+        Some(last) if last >= count && all => {
+            format!("is {count}, and the file has a tensor of layer {last} (from 0)")
         }
-        _ => Ok(()),
-    }
+        Some(last) if last + 1 < count => {
+            format!("is {count}, and the last layer of the file is {last} (from 0)")
+        }
+        _ => return Ok(()),
+    };
+    Err(header.error(key, problem))
 }
 
 /// The error of a decoder and a tower that no family has.
@@ -234,7 +241,10 @@ fn unknown_pair(decoder: &Header, tower: Option<&Header>) -> Result<MllmError, M
         Some(kind) => {
             format!("'{kind}' is not supported with a decoder of architecture {architecture}")
         }
-        None => "no known model family has such a vision tower".into(),
+        None => format!(
+            "is missing from the metadata, and no known model family has such a vision tower beside a decoder of \
+             architecture {architecture}"
+        ),
     };
     let hint = "`vision = false` in the model's description opens the decoder alone, as a language model that sees nothing";
     Ok(tower.error("clip.projector_type", format!("{problem}; {hint}")))

@@ -87,9 +87,9 @@ impl GgufLayout for TextGguf {
         &self,
         decoder: &Header,
         _tower: Option<&Header>,
-        _notes: &mut Vec<String>,
+        notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
-        let mut files = TextFiles::read(decoder)?;
+        let mut files = TextFiles::read(decoder, notes)?;
         let config = files.text_config.clone();
         files.put("config.json", &config);
         Ok(files.into_files())

@@ -1,10 +1,11 @@
 //! The answer so far, from a body in one piece or from the events of a stream.
 
 use super::finish::Ending;
+use super::interfaces::{Interface, interface_of};
 use super::lenient::{readable, value};
 use super::marks::{bare, settled};
 use super::message::{Said, is_message};
-use super::thinking::{Found, after_end, answer};
+use super::thinking::Reader;
 use super::usage::counts;
 use super::{Listen, Reply, shortened};
 use crate::endpoint::trouble::{Trouble, in_words};
@@ -18,27 +19,29 @@ const ALL_REASONING: &str = "the content is empty and the text is all in the rea
 
 #[derive(Debug, Default)]
 pub(super) struct Gathered {
-    content: String,
+    content: Reader,
     reasoning: String,
     refusal: String,
     ending: Option<Ending>,
     tokens: TokenCounts,
     first_text: Option<Instant>,
-    /// Bytes of the answer that were passed on.
-    told: usize,
+    /// What was passed on of the answer.
+    told: String,
     /// Whether a message was seen, perhaps without text.
     chosen: bool,
     /// Whether a tool was called.
     called: bool,
     /// The first event that is no JSON, such as a word that keeps the connection open.
     odd: Option<String>,
+    /// The other interface that the reply is of.
+    other: Option<&'static Interface>,
 }
 
 impl Gathered {
     /// Whether the answer has all its text. What follows can add counts, and nothing can take the
     /// answer away.
     pub(super) fn is_complete(&self) -> bool {
-        matches!(self.ending, Some(Ending::Answer(_))) && !self.content.is_empty()
+        matches!(self.ending, Some(Ending::Answer(_))) && !self.content().is_empty()
     }
 
     /// Whether the server named a reason to end.
@@ -46,8 +49,13 @@ impl Gathered {
         self.ending.is_some()
     }
 
+    /// The content so far, with reasoning that is inside of it.
+    fn content(&self) -> &str {
+        self.content.content()
+    }
+
     fn has_text(&self) -> bool {
-        !self.content.is_empty() || !self.reasoning.is_empty()
+        !self.content().is_empty() || !self.reasoning.is_empty()
     }
 
     /// Adds the data of an event.
@@ -101,8 +109,9 @@ impl Gathered {
             return self.complete(true, &mut listen);
         }
         let shown = shortened(&(listen.hide)(text));
-        Err(EndpointFailure::InvalidReply(format!(
-            "no finished choice in '{shown}'"
+        Err(EndpointFailure::InvalidReply(self.other.map_or_else(
+            || format!("no finished choice in '{shown}'"),
+            |other| other.told(listen.asked),
         )))
     }
 
@@ -126,7 +135,13 @@ impl Gathered {
         if let Some(tokens) = counts(part) {
             self.tokens = tokens;
         }
-        choice.map_or(Ok(()), |choice| self.add_choice(choice, listen))
+        match choice {
+            Some(choice) => self.add_choice(choice, listen),
+            None => {
+                self.other = self.other.or_else(|| interface_of(part));
+                Ok(())
+            }
+        }
     }
 
     fn add_choice(
@@ -137,39 +152,40 @@ impl Gathered {
         let said = Said::from_choice(choice).map_err(|problem| {
             EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
         })?;
-        self.chosen |= ["delta", "message", "messages", "text"]
-            .iter()
-            .any(|name| choice.get(name).is_some());
+        self.chosen |= choice.is_string()
+            || ["delta", "message", "messages", "text"]
+                .iter()
+                .any(|name| choice.get(name).is_some());
         if !said.text.is_empty() || !said.reasoning.is_empty() {
             self.first_text.get_or_insert_with(Instant::now);
         }
         // A whole message at the end of a stream repeats its pieces.
         let repeats = is_message(choice)
             && choice.get("done").is_none()
-            && !self.content.is_empty()
-            && said.text.starts_with(&self.content);
+            && !self.content().is_empty()
+            && said.text.starts_with(self.content());
         if repeats {
-            self.content.clear();
+            self.content = Reader::default();
         }
-        self.content.push_str(&said.text);
+        self.content.push(&said.text);
         self.reasoning.push_str(&said.reasoning);
         self.refusal.push_str(&said.refusal);
         self.called |= said.called;
         self.ending = Ending::from_choice(choice).or(self.ending.take());
         if !listen.whole
-            && let Found::Answer(text) = answer(&self.content)
-            && let text = settled(text)
-            && let Some(piece) = text.get(self.told..).filter(|piece| !piece.is_empty())
+            && let Some(text) = self.content.known()
+            && let Some(piece) = settled(text).get(self.told.len()..)
+            && !piece.is_empty()
         {
             (listen.on_text)(piece);
-            self.told = text.len();
+            self.told.push_str(piece);
         }
         Ok(())
     }
 
     /// The answer at the end of the bytes; `marked` says that the server marked this end.
     pub(super) fn complete(
-        self,
+        mut self,
         marked: bool,
         listen: &mut Listen<'_>,
     ) -> Result<Reply, EndpointFailure> {
@@ -181,31 +197,29 @@ impl Gathered {
                 shown(self.refusal.trim())
             )));
         }
+        if let Some(other) = self.other
+            && !self.chosen
+        {
+            return Err(EndpointFailure::InvalidReply(other.told(listen.asked)));
+        }
         let finish = self.finish(marked, &shown)?;
-        if self.called && self.content.trim().is_empty() {
+        if self.called && self.content().trim().is_empty() {
             Ending::Tools("tool_calls".to_owned()).reason(&shown)?;
         }
-        let (found, reasoned) = match answer(&self.content) {
-            Found::Answer(text) | Found::Undecided(text) => (text, text.len() < self.content.len()),
-            Found::Thinking => ("", true),
-        };
-        // What was passed on stays the answer.
-        let text = if listen.whole {
-            after_end(found)
-        } else {
-            found
-        };
-        if text.trim().is_empty() && (reasoned || !self.reasoning.trim().is_empty()) {
+        let found = std::mem::take(&mut self.content).finish();
+        let reasoned = found.reasoned || !self.reasoning.trim().is_empty();
+        if found.text.trim().is_empty() && reasoned {
             return Err(EndpointFailure::NoAnswer(ALL_REASONING.to_owned()));
         }
-        let text = bare(text);
+        let text = bare(&found.text);
         // Only the whole answer: an event may end within the key.
         let content = hide(text);
-        // What may have been the beginning of a mark was not passed on yet.
+        // What may have been the beginning of a mark was not passed on yet. What was passed on stays
+        // where it is, also if it was reasoning whose end came late.
         let rest = if listen.whole {
             Some(content.as_str())
         } else {
-            text.get(self.told..)
+            text.strip_prefix(self.told.as_str())
         };
         if let Some(rest) = rest.filter(|rest| !rest.is_empty()) {
             (listen.on_text)(rest);
@@ -226,7 +240,7 @@ impl Gathered {
     ) -> Result<FinishReason, EndpointFailure> {
         match &self.ending {
             // Some servers name tools at the end of every answer of a model that knows some.
-            Some(Ending::Tools(_)) if !self.called && !self.content.trim().is_empty() => {
+            Some(Ending::Tools(_)) if !self.called && !self.content().trim().is_empty() => {
                 Ok(FinishReason::EndOfSequence)
             }
             Some(ending) => ending.reason(shown),
@@ -255,10 +269,18 @@ fn unwrapped(part: &Value) -> &Value {
     if part.get("choices").is_some() {
         return part;
     }
-    let inner = ["data", "result", "output", "response", "body"];
+    // The last is a line of a file of batches.
+    let inner = [
+        "/data",
+        "/result",
+        "/output",
+        "/response",
+        "/body",
+        "/response/body",
+    ];
     inner
         .iter()
-        .filter_map(|name| part.get(*name))
+        .filter_map(|place| part.pointer(place))
         .find(|inner| inner.get("choices").is_some_and(Value::is_array))
         .unwrap_or(part)
 }

@@ -1,9 +1,9 @@
 //! Marks of chat templates behind an answer, which a server should take out and some leave in.
 
 /// Marks that end an answer: Qwen and others of the form of `ChatML`, Llama 3, Llama 2 and Mistral,
-/// Gemma, GPT-2, Phi, Idefics and SmolVLM, GLM, `DeepSeek`, gpt-oss, Command A, Seed-OSS, and the
-/// ends of marks around an answer.
-const ENDS: [&str; 25] = [
+/// Gemma, GPT-2, Phi, Idefics and SmolVLM, GLM, `DeepSeek`, gpt-oss, Command A, Seed-OSS, EXAONE,
+/// `LongCat`, Kimi K3, models with channels, and the ends of marks around an answer.
+const ENDS: [&str; 33] = [
     "<|im_end|>",
     "<|eot_id|>",
     "<|eom_id|>",
@@ -25,30 +25,53 @@ const ENDS: [&str; 25] = [
     "<|END_RESPONSE|>",
     "<|END_TEXT|>",
     "<seed:eos>",
+    "[|endofturn|]",
+    "<longcat_s>",
+    "<|close|>response<|sep|>",
+    "<|close|>message<|sep|>",
+    "<|eom|>",
+    "<|eot|>",
     "</answer>",
     "</response>",
+    "</output>",
+    "</conclusion>",
     "<|end_of_box|>",
     "<|end_of_solution|>",
 ];
 
+/// Length of the longest of them, bytes.
+const MAX_END: usize = 25;
+
 /// An answer without the marks behind it. One without marks stays as it is.
 pub(super) fn bare(answer: &str) -> &str {
     let mut text = answer;
-    while let Some(rest) = ENDS
-        .iter()
-        .find_map(|end| text.trim_end().strip_suffix(end))
-    {
+    while let Some(rest) = ENDS.iter().find_map(|end| without(text.trim_end(), end)) {
         text = rest;
     }
     text
 }
 
+/// A text without this mark at its end, in letters of any case.
+fn without<'a>(text: &'a str, end: &str) -> Option<&'a str> {
+    let (rest, last) = text.split_at_checked(text.len().checked_sub(end.len())?)?;
+    last.eq_ignore_ascii_case(end).then_some(rest)
+}
+
 /// What no mark can take away from an answer so far, whatever follows.
 pub(super) fn settled(answer: &str) -> &str {
-    let open = answer.rfind('<').and_then(|at| answer.split_at_checked(at));
-    match open {
-        Some((before, mark)) if ENDS.iter().any(|end| end.starts_with(mark)) => bare(before),
-        _ => bare(answer),
+    let near = answer.floor_char_boundary(answer.len().saturating_sub(MAX_END));
+    let (before, last) = answer.split_at_checked(near).unwrap_or(("", answer));
+    let is_begin = |text: &str| {
+        ENDS.iter().any(|end| {
+            end.get(..text.len())
+                .is_some_and(|begin| begin.eq_ignore_ascii_case(text))
+        })
+    };
+    let mut places = last.match_indices(['<', '[']).map(|(at, _)| at);
+    let open = places.find(|at| last.get(*at..).is_some_and(is_begin));
+    match open.and_then(|at| answer.get(..before.len() + at)) {
+        Some(before) => bare(before),
+        None => bare(answer),
     }
 }
 
@@ -68,6 +91,11 @@ mod tests {
             ("keep<|end_of_box|>", "keep"),
             ("keep<|end_of_box|><|user|>", "keep"),
             ("keep</answer>\n<eos>", "keep"),
+            ("keep</Output>", "keep"),
+            ("keep[|endofturn|]", "keep"),
+            ("keep<|close|>response<|sep|><|eot|>", "keep"),
+            ("keep [left]", "keep [left]"),
+            ("läuft weiter über é", "läuft weiter über é"),
             ("a</s> inside", "a</s> inside"),
             ("<|im_end|>", ""),
             ("", ""),
@@ -86,6 +114,10 @@ mod tests {
             ("keep</s>\n<|im_", "keep"),
             ("keep < 3", "keep < 3"),
             ("keep<|im_port", "keep<|im_port"),
+            ("keep<|close|>resp", "keep"),
+            ("keep<|close|>response<|s", "keep"),
+            ("keep [|end", "keep "),
+            ("ééééééééééééééééééé<|im", "ééééééééééééééééééé"),
         ] {
             assert_eq!(settled(answer), expected, "{answer:?}");
         }

@@ -3,12 +3,15 @@
 use serde_json::Value;
 
 /// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama
-/// and `OpenRouter`; others.
-const REASONING: [&str; 4] = [
+/// and `OpenRouter`; `LiteLLM`; others.
+const REASONING: [&str; 7] = [
     "reasoning_content",
     "reasoning",
     "thinking",
     "reasoning_details",
+    "thinking_blocks",
+    "thinking_content",
+    "reasoning_text",
 ];
 /// Types of parts with text of the answer.
 const TEXT_PARTS: [&str; 2] = ["text", "output_text"];
@@ -41,6 +44,10 @@ impl Said {
     /// When its content has a form that is nobody's; the text names it.
     pub(super) fn from_choice(choice: &Value) -> Result<Self, String> {
         let mut said = Self::default();
+        if let Some(text) = choice.as_str() {
+            said.text.push_str(text);
+            return Ok(said);
+        }
         let piece = choice.get("delta").and_then(message_of);
         let whole = ["message", "messages"]
             .iter()
@@ -239,6 +246,7 @@ mod tests {
                 json!({"message": {"content": [{"type": "text", "text": "keep left"}, {"type": "reference", "reference_ids": [1]}]}}),
             ),
             ("older completions", json!({"text": "keep left"})),
+            ("a choice that is a text", json!("keep left")),
             (
                 "older completions with a null message",
                 json!({"text": "keep left", "message": {"content": null}}),

@@ -4,6 +4,7 @@
 mod events;
 mod finish;
 mod gathered;
+mod interfaces;
 mod lenient;
 mod marks;
 mod message;
@@ -29,6 +30,8 @@ pub(super) type Hide<'a> = &'a dyn Fn(&str) -> String;
 /// How an answer is passed on while it comes.
 pub(super) struct Listen<'a> {
     pub(super) hide: Hide<'a>,
+    /// The address of chat completions that was asked.
+    pub(super) asked: &'a str,
     /// Whether the answer is passed on at its end and not in pieces.
     pub(super) whole: bool,
     pub(super) on_text: &'a mut dyn FnMut(&str),

@@ -13,6 +13,7 @@ fn read_as(
         body.as_bytes(),
         Listen {
             hide: &str::to_owned,
+            asked: "http://127.0.0.1:8080/v1/chat/completions",
             whole,
             on_text,
         },
@@ -126,6 +127,11 @@ fn a_complete_answer_is_kept_whatever_its_form() {
             "channels",
             r#"{"choices": [{"message": {"content": "<|channel|>analysis<|message|>Hm.<|end|><|start|>assistant<|channel|>final<|message|>keep<|return|>"}}]}"#.to_owned(),
         ),
+        ("a choice that is a text", r#"{"choices": ["keep"]}"#.to_owned()),
+        (
+            "a line of a batch",
+            r#"{"custom_id": "1", "response": {"status_code": 200, "body": {"choices": [{"message": {"content": "keep"}}]}}, "error": null}"#.to_owned(),
+        ),
         ("an empty choice before it", r#"{"choices": [null, {"message": {"content": "keep"}}]}"#.to_owned()),
         ("lines of JSON", format!("{piece}\n{end}\n")),
         ("a byte order mark", "\u{feff}{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}".to_owned()),
@@ -177,6 +183,7 @@ fn a_complete_answer_is_kept_when_the_connection_breaks_after_it() {
     let before_break = |body: String| {
         let listen = Listen {
             hide: &str::to_owned,
+            asked: "http://127.0.0.1:8080/v1/chat/completions",
             whole: false,
             on_text: &mut |_| (),
         };
@@ -217,8 +224,30 @@ fn pieces_are_passed_on_without_reasoning() {
     assert_eq!(pieces(&["<"], false), ["<"]);
     assert_eq!(pieces(&["Hm.", "</think>", "keep"], true), ["keep"]);
     assert_eq!(
-        pieces(&["Hm.", "</think>", "keep"], false),
-        ["Hm.", "</think>", "keep"]
+        pieces(&["Well.\n<think>", "Hm.", "</think>", "keep"], false),
+        ["Well.\n", "keep"]
+    );
+    assert_eq!(
+        pieces(&["analysis", "Hm.assis", "tantfinal", "keep"], false),
+        ["keep"]
+    );
+    assert_eq!(
+        pieces(&["a", "nalysis", " of it"], false),
+        ["analysis of it"]
+    );
+}
+
+#[test]
+fn a_late_end_of_reasoning_ends_what_is_passed_on() {
+    let event = |text| serde_json::json!({"choices": [{"delta": {"content": text}}]}).to_string();
+    let events = [event("Hm."), event("</think>"), event("ke"), event("ep")];
+    let [first, mark, second, third] = events.each_ref().map(String::as_str);
+    let body = stream(&[first, mark, second, third, "[DONE]"]);
+    let mut told = Vec::new();
+    let reply = read_as(&body, false, &mut |text| told.push(text.to_owned())).unwrap();
+    assert_eq!(
+        (reply.content.as_str(), told),
+        ("keep", vec!["Hm.".to_owned()])
     );
 }
 
@@ -311,10 +340,44 @@ fn nonsense_and_broken_answers_are_told_apart() {
 }
 
 #[test]
+fn a_reply_of_another_interface_is_named_in_one_piece_and_streamed() {
+    let anthropic =
+        r#"{"type":"message","content":[{"type":"text","text":"keep"}],"stop_reason":"end_turn"}"#;
+    let started =
+        r#"{"type":"message_start","message":{"id":"1","role":"assistant","content":[]}}"#;
+    let piece =
+        r#"{"type":"content_block_delta","index":0,"delta":{"type":"text_delta","text":"keep"}}"#;
+    let gemini = r#"{"candidates":[{"content":{"parts":[{"text":"keep"}]}}]}"#;
+    let ollama = "{\"response\":\"ke\",\"done\":false}\n{\"response\":\"ep\",\"done\":true}\n";
+    for (name, body) in [
+        ("Anthropic's Messages", anthropic.to_owned()),
+        (
+            "Anthropic's Messages",
+            stream(&[started, piece, r#"{"type":"message_stop"}"#]),
+        ),
+        ("generateContent", gemini.to_owned()),
+        ("generateContent", format!("[{gemini}]")),
+        ("generateContent", stream(&[gemini])),
+        ("/api/generate", ollama.to_owned()),
+        (
+            "Text Generation Inference",
+            r#"[{"generated_text":"keep"}]"#.to_owned(),
+        ),
+    ] {
+        let failure = reply(&body).unwrap_err();
+        assert!(
+            matches!(&failure, EndpointFailure::InvalidReply(text) if text.contains(name)),
+            "{body}: {failure:?}"
+        );
+    }
+}
+
+#[test]
 fn an_endless_answer_is_not_read_to_its_end() {
     for byte in [b' ', b'\n', b'x', b'\r'] {
         let listen = Listen {
             hide: &str::to_owned,
+            asked: "http://127.0.0.1:8080/v1/chat/completions",
             whole: false,
             on_text: &mut |_| (),
         };

@@ -44,7 +44,7 @@ const PASSING: [&str; 14] = [
 /// Words of failures that no retry mends, though their status is 429 or 5xx: quotas of `OpenAI`;
 /// llama.cpp's server without a vision part, with a grammar or a template that it cannot use, with
 /// a prompt that is too long.
-const LASTING: [&str; 8] = [
+const LASTING: [&str; 10] = [
     "insufficient_quota",
     "exceeded your current quota",
     "billing_hard_limit",
@@ -53,6 +53,8 @@ const LASTING: [&str; 8] = [
     "failed to parse grammar",
     "exceeds the available context size",
     "system role not supported",
+    "roles must alternate",
+    "only user and assistant roles",
 ];
 
 /// A failure in a server's words.

@@ -67,13 +67,14 @@ impl GgufLayout for LlavaGguf {
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let tower = tower.ok_or_else(|| no_tower(decoder, "its configuration"))?;
-        let text = llama::text_config(decoder)?;
+        let text = llama::text_config(decoder, notes)?;
         let vocabulary = text["vocab_size"]
             .as_u64()
             .expect("the configuration of a decoder says its vocabulary")
             as usize;
         let (mut config, note) = tower::config(tower, self.model_type)?;
         notes.extend(note);
+        notes.extend(tower::left_out(tower));
         config["tie_word_embeddings"] = text["tie_word_embeddings"].clone();
         config["text_config"] = text;
         let mut files = BTreeMap::new();

@@ -10,6 +10,12 @@ use serde_json::{Value, json};
 
 /// The tensor that LLaVA-NeXT adds to LLaVA's.
 const IMAGE_NEWLINE: &str = "model.image_newline";
+/// Tensors of LLaVA's projector and tower, by which a file is known that does not name it.
+const OWN_TENSORS: [&str; 2] = ["mm.0.weight", "v.class_embd"];
+/// Keys of the tower's activation, and llama.cpp's where a file has neither.
+const GELU: &str = "clip.use_gelu";
+const SILU: &str = "clip.use_silu";
+const DEFAULT_ACTIVATION: &str = "quick_gelu";
 /// Key of the hidden states that are the image features.
 const FEATURE_LAYER: &str = "clip.vision.feature_layer";
 /// Key of the resolutions of LLaVA-NeXT's grids, flattened.
@@ -17,7 +23,12 @@ const PINPOINTS: &str = "clip.vision.image_grid_pinpoints";
 
 /// Whether the tower's projector is LLaVA's, or one that no file names.
 pub(super) fn is_llava(header: &Header) -> bool {
-    matches!(header.projector(), Ok(None | Some("mlp")))
+    match header.projector() {
+        Ok(None) => OWN_TENSORS
+            .iter()
+            .all(|name| header.tensors.contains_key(*name)),
+        found => matches!(found, Ok(Some("mlp"))),
+    }
 }
 
 /// Whether the tower belongs to a LLaVA-NeXT.
@@ -38,10 +49,10 @@ pub(super) fn config(
 ) -> Result<(Value, Option<String>), MllmError> {
     let layers = header.required_count("clip.vision.block_count")?;
     // llama.cpp's order; its default without both keys is the activation of CLIP.
-    let act = match (header.flag("clip.use_gelu")?, header.flag("clip.use_silu")?) {
+    let act = match (header.flag(GELU)?, header.flag(SILU)?) {
         (Some(true), _) => "gelu",
         (_, Some(true)) => "silu",
-        _ => "quick_gelu",
+        _ => DEFAULT_ACTIVATION,
     };
     let (features, note) =
         if let Some(features) = header.list::<i64>(FEATURE_LAYER, "a list of integers")? {
@@ -63,7 +74,7 @@ pub(super) fn config(
             "num_attention_heads": header.required_count("clip.vision.attention.head_count")?,
             "image_size": header.required_count("clip.vision.image_size")?,
             "patch_size": header.required_count("clip.vision.patch_size")?,
-            "layer_norm_eps": header.number("clip.vision.attention.layer_norm_epsilon")?,
+            "layer_norm_eps": header.required_number("clip.vision.attention.layer_norm_epsilon")?,
             "hidden_act": act,
         },
     });
@@ -89,6 +100,22 @@ fn default_feature_layer(layers: usize) -> (usize, String) {
     (layer, note)
 }
 
+/// Notes about keys that a file leaves out, and what is taken.
+pub(super) fn left_out(header: &Header) -> Vec<String> {
+    let has = |key: &str| header.metadata.contains_key(key);
+    let mut notes = Vec::new();
+    if !has(GELU) && !has(SILU) {
+        notes.push(header.taken(GELU, DEFAULT_ACTIVATION));
+    }
+    if is_next(header) && !has(PINPOINTS) {
+        notes.push(format!(
+            "{}: the key {PINPOINTS} is missing; the resolutions of transformers' class are taken",
+            header.path.display()
+        ));
+    }
+    notes
+}
+
 fn pinpoints(header: &Header) -> Result<Option<Value>, MllmError> {
     let Some(flat) = header.list::<i64>(PINPOINTS, "a list of integers")? else {
         return Ok(None);
@@ -112,11 +139,10 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Val
         "crop_size": {"height": side, "width": side},
         "resample": 3,
     });
+    let scale = header.pixel_scale()?;
     for key in ["image_mean", "image_std"] {
-        if let Some(values) =
-            header.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")?
-        {
-            preprocessor[key] = json!(values);
+        if let Some(values) = scale.get(key) {
+            preprocessor[key] = values.clone();
         }
     }
     if let Some(pinpoints) = pinpoints(header)? {
@@ -165,9 +191,9 @@ pub(super) fn metadata(
         (FEATURE_LAYER, json!(config.feature_layers)),
     ];
     match vision.act {
-        Activation::QuickGelu => metadata.push(("clip.use_gelu", json!(false))),
-        Activation::Gelu => metadata.push(("clip.use_gelu", json!(true))),
-        Activation::Silu => metadata.push(("clip.use_silu", json!(true))),
+        Activation::QuickGelu => metadata.push((GELU, json!(false))),
+        Activation::Gelu => metadata.push((GELU, json!(true))),
+        Activation::Silu => metadata.push((SILU, json!(true))),
         Activation::GeluTanh | Activation::Relu => {
             return Err("the activation of the vision tower");
         }

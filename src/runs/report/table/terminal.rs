@@ -92,7 +92,7 @@ impl Table {
         if !width.breaks_names {
             return self.below_names(width);
         }
-        self.break_texts(width.columns / 2);
+        self.fit_texts(width.columns);
         let blocks = self.blocks(width.columns);
         let blocks = blocks.into_iter().map(|block| block.below_names(width));
         blocks.collect::<Vec<_>>().join("\n\n")
@@ -139,6 +139,26 @@ impl Table {
     #[must_use]
     pub fn with_gap(self, gap: usize) -> Self {
         Self { gap, ..self }
+    }
+
+    /// Breaks texts beside the first column, so that they take the width with any other column.
+    fn fit_texts(&mut self, columns: usize) {
+        let texts: Vec<usize> = (1..self.texts()).collect();
+        let others =
+            (self.texts().max(1)..self.headers.len()).map(|column| self.of_columns(&[column]));
+        let others = others.map(|other| widest(&other.lines()) + self.gap).max();
+        let room = columns.saturating_sub(others.unwrap_or(0));
+        let whole = self.clone();
+        self.break_texts(columns / 2);
+        let mut limit = columns / 2;
+        while limit > MIN_REST && widest(&self.of_columns(&texts).lines()) > room {
+            limit -= 1;
+            self.clone_from(&whole);
+            self.break_texts(limit);
+            for header in self.headers.iter_mut().take(texts.len() + 1).skip(1) {
+                *header = broken(header, limit).join("\n");
+            }
+        }
     }
 
     /// Breaks texts beside the first column that take more than `columns`.
@@ -320,6 +340,49 @@ mod tests {
                 for column in 0..columns {
                     assert!(text.contains(&format!("column {column}")), "{text}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn tables_of_texts_fit_any_terminal() {
+        console::set_colors_enabled(false);
+        let headers = [
+            "family",
+            "names of the configuration",
+            "decoder with projector",
+            "example",
+        ];
+        let row = |name: &str, names: &str| {
+            let cells = [
+                name,
+                names,
+                "one-decoder with a_projector",
+                "org/A-Model-Of-1B-Instruct",
+            ];
+            cells.map(ToOwned::to_owned).to_vec()
+        };
+        let rows = || {
+            [
+                row("a", "one, another_text, third_text_of_it"),
+                row("a-longer-name", "x"),
+            ]
+        };
+        for numbers in 0..3 {
+            for terminal in [60, 72, 80, 100, 160] {
+                let headers = headers.iter().map(ToString::to_string);
+                let counts = (0..numbers).map(|number| format!("number {number}"));
+                let rows = rows().map(|mut row| {
+                    row.extend((0..numbers).map(|number| format!("{number}")));
+                    row
+                });
+                let mut table = Table::new(headers.chain(counts), 1, rows);
+                for column in 1..4 {
+                    table = table.with_texts(column);
+                }
+                let text = table.fitted(LineWidth::terminal(terminal));
+                assert_fits(&text, terminal);
+                assert!(text.contains("Instruct"), "{text}");
             }
         }
     }

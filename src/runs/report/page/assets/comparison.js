@@ -77,7 +77,7 @@ function scopeNote() {
     const { challenge, scenes, common, entrants } = comparison;
     const who = entrants.length === 2 ? "both planners" : `all ${entrants.length} planners`;
     const words = common === 0 ? `no scene was completed by ${who}; their scores are not comparable`
-      : `${who} completed ${common === scenes ? `all ${scenes} scenes` : `${common} of ${scenes} scenes`}`;
+      : `${who} completed ${common === scenes ? (scenes === 1 ? "the scene" : `all ${scenes} scenes`) : `${common} of ${counted(scenes, "scene")}`}`;
     return { name: CHALLENGES[challenge].short, words };
   });
   if (!said.length) return null;
@@ -134,10 +134,10 @@ function scenesOfType(comparison, type) {
 function typeChart(comparison, types) {
   const of = (type) => INDEX.entrants.map((entrant) => ({ entrant, interval: scoresOf(comparison, entrant)?.types[type] })).filter(({ interval }) => interval);
   const axis = new ScoreAxis(types.flatMap((type) => of(type).map(({ interval }) => interval)));
-  const axisRow = () => h("div", { class: "type-row axis-row" }, h("span", {}), h("span", { class: "count" }, "scenes"), axis.labels());
+  const axisRow = () => h("div", { class: "type-row axis-row" }, h("span", {}), h("span", {}), axis.labels());
   return h("figure", { class: "type-chart" },
     types.map((type) => h("div", { class: "type-row" }, h("span", { class: "type-name" }, typeLink(type)),
-      h("span", { class: "count", "data-words": counted(scenesOfType(comparison, type), "scene") }, scenesOfType(comparison, type)),
+      h("span", { class: "count" }, counted(scenesOfType(comparison, type), "scene")),
       h("div", { class: "type-lanes" }, axis.lines(), of(type).map(({ entrant, interval }) =>
         h("div", { class: "type-lane", title: `${entrant.label}: ${intervalWords(interval)}` }, dotAndInterval(axis, interval, colorOf(entrant))))))),
     axisRow(), entrantLegend());

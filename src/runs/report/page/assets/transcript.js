@@ -94,7 +94,7 @@ class Transcript {
       h("header", {}, h("h4", {}, `Attempt ${i + 1}${attempt.is_further ? ": further codes, of the agent itself" : ""}`), tag, this.showVerdict(attempt)),
       repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no plan was read"),
-      code?.waypoints ? h("p", { class: "quiet" }, ONWARD) : null,
+      code?.waypoints && i === executed ? h("p", { class: "onward" }, ONWARD) : null,
       reflection && !repeat ? partsTable(reflection.parts) : null,
       attempt.proposals?.length ? proposalsTable(attempt.proposals) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
