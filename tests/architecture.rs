@@ -53,9 +53,16 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "kernels",
         &[
-            &["activation", "values"],
+            &["activation", "values", "work"],
             &["matrix"],
-            &["layer_norm", "linear", "pointwise", "rms_norm"],
+            &[
+                "delta_rule",
+                "layer_norm",
+                "limits",
+                "linear",
+                "pointwise",
+                "rms_norm",
+            ],
             &["attention"],
         ],
     ),
