@@ -55,15 +55,8 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["activation", "values", "work"],
             &["matrix"],
-            &[
-                "delta_rule",
-                "layer_norm",
-                "limits",
-                "linear",
-                "pointwise",
-                "rms_norm",
-            ],
-            &["attention"],
+            &["layer_norm", "limits", "linear", "pointwise", "rms_norm"],
+            &["attention", "delta_rule"],
         ],
     ),
     ("score", &[&["metrics"], &["pdm"]]),
