@@ -104,6 +104,8 @@ impl Conversation for Scripted<'_> {
 /// The settings of the paper's loop.
 pub(crate) fn settings() -> PlanAgentSettings {
     let mut settings = PlanAgentSettings::default();
+    // The scripts of these tests answer each attempt, and no code is tried beyond them.
+    settings.reflection.further_codes = false;
     (
         settings.reflection.after_max_exec,
         settings.reflection.monitoring,

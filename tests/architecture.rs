@@ -53,10 +53,10 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "kernels",
         &[
-            &["activation", "values"],
+            &["activation", "values", "work"],
             &["matrix"],
-            &["layer_norm", "linear", "pointwise", "rms_norm"],
-            &["attention"],
+            &["layer_norm", "limits", "linear", "pointwise", "rms_norm"],
+            &["attention", "delta_rule"],
         ],
     ),
     ("score", &[&["metrics"], &["pdm"]]),

@@ -121,6 +121,7 @@ impl GatedDeltaRule {
         } else {
             state.chunks_exact_mut(width).enumerate().map(one).collect()
         };
+        // Heads lie side by side in a token's row, so each writes apart and is copied here.
         for (value, found) in found.iter().enumerate() {
             let places = out.chunks_exact_mut(value_width);
             let places = places.skip(value).step_by(self.heads.values);

@@ -49,7 +49,7 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
 }
 
 /// Codes that are tried where Reflection refused all of a call: the ego's lane from the limit down,
-/// and where something blocks it, other lanes at the limit. Behind what drives on, a change into
+/// and where something blocks it, other lanes at the limit. Behind moving traffic, a change into
 /// another lane comes near others more often than it helps.
 /// Why: docs/decisions/129-judged-handover.md.
 pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {

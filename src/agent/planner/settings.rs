@@ -153,12 +153,12 @@ impl Default for ReflectionSettings {
             max_exec: 3,
             horizon_s: 4.0,
             after_max_exec: AfterMaxExec::Best,
-            further_codes: false,
+            further_codes: true,
             lead_policy: LeadPolicy::Nearest,
-            ride: Ride::Idm,
+            ride: Ride::Comfortable,
             monitoring: true,
             emergency_brake: true,
-            handover: false,
+            handover: true,
         }
     }
 }

@@ -375,7 +375,8 @@ fn as_gguf(
     };
     let Some((decoder, projector)) = written.decoder_and_tower()? else {
         bail!(
-            "cannot compare {}: llama.cpp's file format has no place for a part of it",
+            "cannot compare {}: of its family this program writes no pair of llama.cpp's files; \
+             name a pair that llama.cpp's converter wrote",
             candidate.name
         );
     };

@@ -57,6 +57,7 @@ pub(super) fn read_rope(
             .positive(key)?
             .ok_or_else(|| section.error(key, "is missing for this rope_type"))
     };
+    // Configurations of before transformers 4.43 say `type`.
     let rope_type = if section.contains("rope_type") {
         "rope_type"
     } else {

@@ -12,6 +12,7 @@ pub(super) enum Kind {
     Qwen2,
     Qwen3,
     Gemma3,
+    Lfm2,
 }
 
 impl Kind {
@@ -22,8 +23,9 @@ impl Kind {
             "qwen2" => Ok(Self::Qwen2),
             "qwen3" => Ok(Self::Qwen3),
             "gemma3_text" | "gemma3" => Ok(Self::Gemma3),
+            "lfm2" => Ok(Self::Lfm2),
             other => Err(CandleError::Unsupported(format!(
-                "'{other}': llama, qwen2, qwen3 and gemma3_text are compared"
+                "'{other}': llama, qwen2, qwen3, gemma3_text and lfm2 are compared"
             ))),
         }
     }
@@ -43,6 +45,10 @@ impl Kind {
                 "query_pre_attn_scalar": 256, "sliding_window_pattern": 6, "tie_word_embeddings": true,
                 "final_logit_softcapping": null, "attn_logit_softcapping": null,
             }),
+            Self::Lfm2 => json!({
+                "max_position_embeddings": 128_000, "num_key_value_heads": 8, "norm_eps": 1e-5, "conv_L_cache": 3,
+                "conv_bias": false, "tie_word_embeddings": true, "hidden_size": 2560, "num_hidden_layers": 32,
+            }),
         };
         let mut all = shared;
         if let (Some(all), Value::Object(own)) = (all.as_object_mut(), own) {
@@ -52,7 +58,10 @@ impl Kind {
     }
 
     fn theta(self) -> f64 {
-        if self == Self::Gemma3 { 1e6 } else { 1e4 }
+        match self {
+            Self::Gemma3 | Self::Lfm2 => 1e6,
+            Self::Llama | Self::Qwen2 | Self::Qwen3 => 1e4,
+        }
     }
 }
 
@@ -113,8 +122,47 @@ pub(super) fn for_candle(path: &Path, config: &Value) -> Result<(Kind, Value), C
             local.cloned().unwrap_or(json!(1e4)),
         );
     }
+    if kind == Kind::Lfm2 {
+        write_lfm2(&mut all);
+    }
     check(kind, &all).map_err(unsupported)?;
     Ok((kind, Value::Object(all)))
+}
+
+/// Writes the keys of an LFM2 as candle's class reads them: the kind of each layer by name, and the
+/// width of the feed-forward layers, for which it has another rule, by a factor that gives it.
+fn write_lfm2(all: &mut Map<String, Value>) {
+    let number = |key: &str, default: u64| all.get(key).and_then(Value::as_u64).unwrap_or(default);
+    let (layers, hidden) = (number("num_hidden_layers", 0), number("hidden_size", 1));
+    let mut width = number("block_ff_dim", number("intermediate_size", 12_288));
+    let adjusts = all.get("block_auto_adjust_ff_dim").and_then(Value::as_bool);
+    if adjusts.unwrap_or(true) {
+        let factor = all.get("block_ffn_dim_multiplier").and_then(Value::as_f64);
+        let scaled = (2 * width / 3) as f64 * factor.unwrap_or(1.0);
+        width = (scaled as u64).next_multiple_of(number("block_multiple_of", 256).max(1));
+    }
+    if let Some(full) = all.get("full_attn_idxs").and_then(Value::as_array).cloned() {
+        let kind = |layer: u64| {
+            if full.contains(&json!(layer)) {
+                "full_attention"
+            } else {
+                "conv"
+            }
+        };
+        let kinds: Vec<&str> = (0..layers.min(4096)).map(kind).collect();
+        all.entry("layer_types").or_insert(json!(kinds));
+    }
+    let tied = all.get("tie_embedding").or(all.get("tie_word_embeddings"));
+    let tied = tied.cloned().unwrap_or(json!(true));
+    all.insert("tie_embedding".to_owned(), tied);
+    // Half a number more, since the class rounds down.
+    let factor = (width as f64 + 0.5) / (4 * hidden.max(1)) as f64;
+    all.insert("block_ffn_dim_multiplier".to_owned(), json!(factor));
+    all.insert("block_multiple_of".to_owned(), json!(1));
+    // It takes one number each, and does not use them.
+    for key in ["bos_token_id", "eos_token_id"] {
+        all.remove(key);
+    }
 }
 
 /// Refuses what candle's class would pass over.
@@ -126,6 +174,9 @@ fn check(kind: Kind, all: &Map<String, Value>) -> Result<(), String> {
         if is_on(key) {
             return Err(format!("candle's class has no {key}"));
         }
+    }
+    if kind == Kind::Lfm2 && is_on("conv_bias") {
+        return Err("candle's class has no conv_bias".to_owned());
     }
     if kind == Kind::Llama {
         if is_on("attention_bias") {
@@ -188,6 +239,22 @@ mod tests {
     }
 
     #[test]
+    fn an_lfm2_has_the_width_of_its_own_rule() {
+        for (hidden, written, width) in [(1024, 6656, 4608), (2048, 12_288, 8192), (32, 90, 256)] {
+            let config = json!({"model_type": "lfm2", "hidden_size": hidden, "intermediate_size": written,
+                "num_hidden_layers": 3, "full_attn_idxs": [1]});
+            let (_, all) = read(&config).unwrap();
+            let factor = all["block_ffn_dim_multiplier"].as_f64().unwrap() as f32;
+            assert_eq!((hidden as f32 * 4.0 * factor) as usize, width);
+            assert_eq!(
+                all["layer_types"],
+                json!(["conv", "full_attention", "conv"])
+            );
+            assert_eq!(all["tie_embedding"], json!(true));
+        }
+    }
+
+    #[test]
     fn what_a_class_would_pass_over_is_refused() {
         for (config, said) in [
             (json!({"model_type": "mistral"}), "'mistral'"),
@@ -207,6 +274,10 @@ mod tests {
             (
                 json!({"model_type": "llama", "attention_bias": true}),
                 "attention_bias",
+            ),
+            (
+                json!({"model_type": "lfm2", "conv_bias": true}),
+                "conv_bias",
             ),
             (
                 json!({"model_type": "gemma3_text", "layer_types": ["full_attention"]}),

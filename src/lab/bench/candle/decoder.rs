@@ -6,8 +6,8 @@ use candle_core::quantized::gguf_file;
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarBuilder;
 use candle_transformers::models::{
-    gemma3, llama, quantized_gemma3, quantized_llama, quantized_qwen2, quantized_qwen3, qwen2,
-    qwen3,
+    gemma3, lfm2, llama, quantized_gemma3, quantized_llama, quantized_qwen2, quantized_qwen3,
+    qwen2, qwen3,
 };
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -21,6 +21,8 @@ pub(super) enum Decoder {
     Qwen2(Box<qwen2::ModelForCausalLM>),
     Qwen3(Box<qwen3::ModelForCausalLM>),
     Gemma3(Box<gemma3::Model>),
+    /// Its convolutions forget what lies before a pass of several tokens.
+    Lfm2(Box<lfm2::Model>, Box<lfm2::Cache>),
     QuantizedLlama(Box<quantized_llama::ModelWeights>),
     QuantizedQwen2(Box<quantized_qwen2::ModelWeights>),
     QuantizedQwen3(Box<quantized_qwen3::ModelWeights>),
@@ -83,6 +85,14 @@ impl Opened {
                 &read(&path, &config)?,
                 weights,
             )?)),
+            Kind::Lfm2 => {
+                let config = read::<lfm2::Lfm2Config>(&path, &config)?.into_config(false);
+                let cache = lfm2::Cache::new(true, DType::F32, &config, &Device::Cpu)?;
+                Decoder::Lfm2(
+                    Box::new(lfm2::Model::new(&config, weights)?),
+                    Box::new(cache),
+                )
+            }
         };
         let number = |key: &str| config.get(key).and_then(Value::as_u64).unwrap_or(0) as usize;
         Ok(Self {
@@ -148,6 +158,11 @@ impl Opened {
                 let model = quantized_gemma3::ModelWeights::from_gguf(content, &mut file, cpu)?;
                 Decoder::QuantizedGemma3(Box::new([model.clone(), model]))
             }
+            Kind::Lfm2 => {
+                let problem =
+                    "its class of an LFM2 in GGUF cannot forget a sequence; a folder is compared";
+                return Err(CandleError::Unsupported(problem.to_owned()));
+            }
         };
         Ok(Self {
             decoder,
@@ -171,6 +186,7 @@ impl Opened {
             Decoder::Qwen2(model) => model.forward(&input, offset),
             Decoder::Qwen3(model) => model.forward(&input, offset),
             Decoder::Gemma3(model) => model.forward(&input, offset),
+            Decoder::Lfm2(model, cache) => model.forward(&input, offset, cache),
             Decoder::QuantizedLlama(model) => model.forward(&input, offset),
             Decoder::QuantizedQwen2(model) => model.forward(&input, offset),
             Decoder::QuantizedQwen3(model) => model.forward(&input, offset),
@@ -190,6 +206,7 @@ impl Opened {
             Decoder::Qwen2(model) => model.clear_kv_cache(),
             Decoder::Qwen3(model) => model.clear_kv_cache(),
             Decoder::Gemma3(model) => model.clear_kv_cache(),
+            Decoder::Lfm2(_, cache) => cache.clear(),
             Decoder::QuantizedLlama(model) => model.clear_kv_cache(),
             Decoder::QuantizedQwen2(model) => model.clear_kv_cache(),
             Decoder::QuantizedQwen3(model) => model.clear_kv_cache(),

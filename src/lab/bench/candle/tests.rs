@@ -146,6 +146,26 @@ fn folders_give_the_logits_and_tokens_of_candle() {
     }
 }
 
+/// A copy of the tiny LFM2 whose convolutions have no biases, as those of published models.
+fn lfm2() -> tempfile::TempDir {
+    let folder = decoder_of("tiny_lfm2", |config| config["conv_bias"] = json!(false));
+    let path = folder.path().join("model.safetensors");
+    let mut tensors = candle_core::safetensors::load(&path, &Device::Cpu).unwrap();
+    tensors.retain(|name, _| name.rsplit('.').next() != Some("bias"));
+    candle_core::safetensors::save(&tensors, &path).unwrap();
+    folder
+}
+
+#[test]
+fn a_folder_of_lfm2_gives_the_logits_and_tokens_of_candle() {
+    let folder = lfm2();
+    let place = ModelPlace::Folder(folder.path().to_path_buf());
+    let model = ModelChoice::Named(folder.path().display().to_string());
+    let found = agreement(&place, model, folder.path());
+    assert!(found.largest < 1e-4, "{}", found.in_words());
+    assert_eq!(found.same_tokens, found.tokens);
+}
+
 /// Measured: 1.8e-6 for Llama, 2.6e-6 for Qwen 2, 1.5e-3 for Qwen 3, 0.59 for Gemma 3.
 #[test]
 fn gguf_files_give_the_logits_of_candle() {

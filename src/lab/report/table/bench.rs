@@ -120,25 +120,18 @@ pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
             [&LOADED[..], &COST]
                 .map(|columns| models(figures, columns, |c| c.header.to_owned()).fitted(width)),
         );
-        let meanings = LOADED
-            .iter()
-            .chain(&COST)
-            .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(width.listed(meanings).join("\n"));
+        let both = LOADED.iter().chain(&COST);
+        parts.push(meanings(both, None, width));
     }
-    if let Some(limits) = limits(figures) {
-        parts.push(models(figures, &SHARES, |c| c.header.to_owned()).fitted(width));
-        let meanings = SHARES
-            .iter()
-            .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(width.listed(meanings.chain([limits])).join("\n"));
-    }
-    if has_drafts(figures) {
-        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).fitted(width));
-        let meanings = DRAFTED_COST
-            .iter()
-            .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(width.listed(meanings).join("\n"));
+    let limits = limits(figures);
+    for (columns, limits, shown) in [
+        (&SHARES[..], limits.clone(), limits.is_some()),
+        (&DRAFTED_COST, None, has_drafts(figures)),
+    ] {
+        if shown {
+            parts.push(models(figures, columns, |c| c.header.to_owned()).fitted(width));
+            parts.push(meanings(columns.iter(), limits, width));
+        }
     }
     if !figures.comparisons.is_empty() {
         parts.push(comparisons(figures).fitted(width));
@@ -149,6 +142,16 @@ pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
     parts.extend(agreements.map(|line| width.wrapped(&line).join("\n")));
     parts.extend(failed(figures).map(|line| width.wrapped(&line).join("\n")));
     parts.join("\n\n")
+}
+
+/// What columns mean, and a line behind.
+fn meanings<'a>(
+    columns: impl Iterator<Item = &'a Column>,
+    behind: Option<String>,
+    width: LineWidth,
+) -> String {
+    let meanings = columns.map(|column| format!("{} = {}", column.header, column.meaning));
+    width.listed(meanings.chain(behind)).join("\n")
 }
 
 /// The same as Markdown, the models in one wide table; `command` ran on `machine`.
