@@ -199,7 +199,8 @@ fn two_terms_lose_a_hundredth_of_what_one_loses() {
         let two = one.in_two_terms();
         let in_two = two.forward(&x).unwrap();
         if weight_format.block() == 1 {
-            assert_eq!(lost(&in_two), lost(&in_one), "{weight_format}");
+            let same = lost(&in_two).to_bits() == lost(&in_one).to_bits();
+            assert!(same, "{weight_format}");
         } else {
             assert!(lost(&in_two) < lost(&in_one) / 100.0, "{weight_format}");
         }

@@ -38,8 +38,11 @@ pub(super) struct Cost {
     pub(super) p95: f64,
 }
 
+/// The name of a part of a call, and its time or tokens.
+type Part = (&'static str, fn(&CallTimes) -> f64);
+
 /// The stages with their times.
-const STAGES: [(&str, fn(&CallTimes) -> f64); 7] = [
+const STAGES: [Part; 7] = [
     ("environment", |call| call.environment),
     ("image encode", |call| call.image_encode),
     ("prefill", |call| call.prefill),
@@ -50,7 +53,7 @@ const STAGES: [(&str, fn(&CallTimes) -> f64); 7] = [
 ];
 
 /// What is counted in a call.
-const TOKENS: [(&str, fn(&CallTimes) -> f64); 3] = [
+const TOKENS: [Part; 3] = [
     ("questions", |call| call.questions as f64),
     ("tokens read", |call| call.read as f64),
     ("tokens written", |call| call.written as f64),
@@ -110,7 +113,7 @@ impl CallCost {
 }
 
 /// Each part that some call has.
-fn costs(calls: &[&CallTimes], parts: &[(&str, fn(&CallTimes) -> f64)]) -> Vec<Cost> {
+fn costs(calls: &[&CallTimes], parts: &[Part]) -> Vec<Cost> {
     let cost = |&(name, of): &(&str, fn(&CallTimes) -> f64)| {
         let found = quantiles(calls, of).filter(|_| calls.iter().any(|call| of(call) > 0.0))?;
         Some(Cost {

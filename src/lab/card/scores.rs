@@ -74,7 +74,7 @@ fn variant(name: &str, planner: &str, environment: &[(&str, bool)]) -> Variant {
     let keys = environment
         .iter()
         .map(|&(key, value)| (key.to_owned(), value.into()));
-    let keys = toml::Table::from_iter(keys);
+    let keys: toml::Table = keys.collect();
     let mut settings = toml::Table::new();
     if !keys.is_empty() {
         settings.insert("environment".to_owned(), keys.into());

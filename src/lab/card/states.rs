@@ -126,7 +126,7 @@ impl States<'_> {
                 if let Some(record) = known.get(&scene) {
                     return Ok((Visited::Asked(Box::new(record.clone())), false));
                 }
-                let visited = self.visit(spec, scene)?;
+                let visited = self.visit(spec, &scene)?;
                 let done = done.fetch_add(1, Ordering::Relaxed) + 1;
                 let total = wanted.max(done + 1);
                 listener(Event::ScenesCounted { done, total });
@@ -156,12 +156,12 @@ impl States<'_> {
     }
 
     /// Drives to the state of a scene and asks there.
-    fn visit(&self, spec: &Spec, scene: String) -> Result<Visited, RunnerError> {
+    fn visit(&self, spec: &Spec, scene: &str) -> Result<Visited, RunnerError> {
         let place = spec.seed % STATES_IN_TURN;
         let next = Cell::new(0);
         let visited = walk(spec, self.settings, &|visited, _| {
             let is_own = next.replace(next.get() + 1) == place;
-            Ok(is_own.then(|| self.questions.ask(visited, &scene)))
+            Ok(is_own.then(|| self.questions.ask(visited, scene)))
         });
         let visited = visited.map_err(CardError::from)?;
         match visited.into_iter().flatten().next().transpose()? {

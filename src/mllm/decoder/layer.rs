@@ -108,8 +108,8 @@ impl SwiGlu {
         let network = Self::take(weights, name, shape)?;
         let down = config.without_norm_before(network.down);
         Ok(Self {
-            act,
             down,
+            act,
             ..network
         })
     }

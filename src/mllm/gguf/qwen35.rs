@@ -40,27 +40,24 @@ pub(super) fn add_keys(header: &Header, config: &mut Value) -> Result<(), MllmEr
     let layers = layers(header)?;
     config["num_hidden_layers"] = json!(layers);
     let recurrent: Option<Vec<bool>> = header.list(RECURRENT, "a list of true and false")?;
-    match recurrent {
-        Some(recurrent) => {
-            let Some(own) = recurrent.get(..layers) else {
-                let problem = format!("has {} entries for {layers} layers", recurrent.len());
-                return Err(header.error(RECURRENT, problem));
-            };
-            let kind = |recurrent: &bool| {
-                if *recurrent {
-                    "linear_attention"
-                } else {
-                    "full_attention"
-                }
-            };
-            config["layer_types"] = json!(own.iter().map(kind).collect::<Vec<_>>());
-            // The list says more.
-            header.count_or_none(EVERY)?;
-        }
-        None => {
-            let every = header.count(EVERY)?.unwrap_or(INTERVAL);
-            config["full_attention_interval"] = json!(every);
-        }
+    if let Some(recurrent) = recurrent {
+        let Some(own) = recurrent.get(..layers) else {
+            let problem = format!("has {} entries for {layers} layers", recurrent.len());
+            return Err(header.error(RECURRENT, problem));
+        };
+        let kind = |recurrent: &bool| {
+            if *recurrent {
+                "linear_attention"
+            } else {
+                "full_attention"
+            }
+        };
+        config["layer_types"] = json!(own.iter().map(kind).collect::<Vec<_>>());
+        // The list says more.
+        header.count_or_none(EVERY)?;
+    } else {
+        let every = header.count(EVERY)?.unwrap_or(INTERVAL);
+        config["full_attention_interval"] = json!(every);
     }
     let (values, inner) = (
         header.required_count(VALUES)?,

@@ -135,13 +135,11 @@ impl Gathered {
         if let Some(tokens) = counts(part) {
             self.tokens = tokens;
         }
-        match choice {
-            Some(choice) => self.add_choice(choice, listen),
-            None => {
-                self.other = self.other.or_else(|| interface_of(part));
-                Ok(())
-            }
+        if let Some(choice) = choice {
+            return self.add_choice(choice, listen);
         }
+        self.other = self.other.or_else(|| interface_of(part));
+        Ok(())
     }
 
     fn add_choice(

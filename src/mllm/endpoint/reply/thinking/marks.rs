@@ -1,7 +1,7 @@
 //! The marks around reasoning of models and servers, and whether a text begins with one.
 
 /// Names of tags around reasoning: Qwen, `DeepSeek` and others; variants; `EXAONE` and Marco;
-/// Seed-OSS, MiniMax, `LongCat`, Hunyuan, K2 Horizon.
+/// Seed-OSS, `MiniMax`, `LongCat`, Hunyuan, K2 Horizon.
 static NAMES: [&str; 15] = [
     "think",
     "thinking",
@@ -58,7 +58,7 @@ const AFTER_CHANNEL: &[&str] = &[
     "<|start|>assistant",
     "<|channel|>final",
 ];
-/// Mistral; Kimi; Kimi K3; Command A; `OpenThoughts`; MiniCPM; Apertus; `MedGemma`; Pangu; Gemma 4;
+/// Mistral; Kimi; Kimi K3; Command A; `OpenThoughts`; `MiniCPM`; Apertus; `MedGemma`; Pangu; Gemma 4;
 /// Solar Open; others; the channels of gpt-oss: two of reasoning, and the head of the answer; a
 /// model whose channels are recipients; `HyperCLOVA`.
 static PAIRS: [Pair; 21] = [
@@ -305,9 +305,10 @@ fn tag(text: &str) -> Seen<Tag> {
     let plain = name.to_ascii_lowercase();
     let mut known = NAMES.iter().chain(&WEAK_NAMES).chain([&DETAILS.0]);
     if rest.is_empty() {
-        return match known.any(|known| known.starts_with(&plain)) {
-            true => Seen::Maybe,
-            false => Seen::No,
+        return if known.any(|known| known.starts_with(&plain)) {
+            Seen::Maybe
+        } else {
+            Seen::No
         };
     }
     let Some(&name) = known.find(|known| **known == plain) else {

@@ -288,7 +288,7 @@ impl Reader {
             self.place = Place::Worded(Worded { words, scanned });
             return false;
         }
-        if words.are_clear(self.rest()) {
+        if words::are_clear(self.rest()) {
             self.reasoned = true;
             self.at = self.content.len();
             self.place = Place::Start;

@@ -65,15 +65,15 @@ impl Words {
         let (at, length) = found.min()?;
         Some((at, if self.keeps_end { 0 } else { length }))
     }
+}
 
-    /// Whether a text is reasoning though nothing ends it.
-    pub(super) fn are_clear(&self, text: &str) -> bool {
-        let Some(rest) = text.strip_prefix(ANALYSIS) else {
-            return false;
-        };
-        let word = rest.split(|c: char| !c.is_alphanumeric()).next();
-        word.is_some_and(|word| FIRST_WORDS.contains(&word))
-    }
+/// Whether a text that begins with such words is reasoning though nothing ends it.
+pub(super) fn are_clear(text: &str) -> bool {
+    let Some(rest) = text.strip_prefix(ANALYSIS) else {
+        return false;
+    };
+    let word = rest.split(|c: char| !c.is_alphanumeric()).next();
+    word.is_some_and(|word| FIRST_WORDS.contains(&word))
 }
 
 /// The words that a text begins with.
