@@ -192,6 +192,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights qwen3-vl-2b --quantize q4_k --calls brief --image-size 448,1024 --iterations 3",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench SmolLM2-135M-Instruct.Q4_1.gguf --vs llama.cpp --calls brief --warm-up 1 --iterations 3 --trust-model",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
