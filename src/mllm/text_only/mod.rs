@@ -136,7 +136,7 @@ pub(crate) const QWEN35: Family = Family {
         models: "Qwen3.5 without its tower",
         gguf: &[("qwen35", None)],
         tested: "transformers, llama.cpp: tests/fixtures/tiny_qwen3_5",
-        example: "my-qwen3.5",
+        example: "./my-qwen3.5",
     },
 };
 
