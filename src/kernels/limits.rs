@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn limits_are_above_what_a_product_reaches() {
+    fn limits_are_measured_and_a_plain_read_reads_all_numbers() {
         let limits = Limits::measure();
         assert_eq!(limits.kernels, Instructions::best().name());
         assert!(limits.operations_per_s > 1e6, "{limits:?}");
