@@ -16,9 +16,10 @@ use std::io;
 use std::process::{Child, Command};
 
 /// Waits for the end of its stdin, then kills its process group, itself included. Signals of a
-/// terminal, and those that a command sends to its own group, do not end it before.
+/// terminal, and those that a command sends to its own group, do not end it before: it writes a line
+/// once it ignores them.
 #[cfg(unix)]
-const GUARD: &str = "trap '' HUP INT QUIT TERM; read -r end; kill -9 0";
+const GUARD: &str = "trap '' HUP INT QUIT TERM; echo; read -r end; kill -9 0";
 
 /// A running process. It ends, on Unix with all processes of its group, when this is dropped and
 /// when the program ends.
@@ -74,22 +75,37 @@ impl BoundChild {
     }
 }
 
+/// Starts the guard and waits until it ignores signals: a command may signal its group at once.
 #[cfg(unix)]
 fn guard() -> io::Result<Child> {
+    use std::io::Read;
     use std::os::unix::process::CommandExt;
     use std::process::Stdio;
-    Command::new("sh")
+    let mut guard = Command::new("sh")
         .args(["-c", GUARD])
         .stdin(Stdio::piped())
-        .stdout(Stdio::null())
+        .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .process_group(0)
         .spawn()
-        .map_err(|error| {
-            io::Error::other(format!(
-                "sh, which ends a command with this program, cannot be started: {error}"
-            ))
-        })
+        .map_err(no_guard)?;
+    let ready = match guard.stdout.take() {
+        Some(mut stdout) => stdout.read_exact(&mut [0]),
+        None => Err(io::ErrorKind::BrokenPipe.into()),
+    };
+    if let Err(error) = ready {
+        let _ = guard.kill();
+        let _ = guard.wait();
+        return Err(no_guard(error));
+    }
+    Ok(guard)
+}
+
+#[cfg(unix)]
+fn no_guard(error: io::Error) -> io::Error {
+    io::Error::other(format!(
+        "sh, which ends a command with this program, cannot be started: {error}"
+    ))
 }
 
 /// On this system, a program that ends leaves its children.
@@ -206,17 +222,20 @@ mod tests {
         assert!(!child.process().wait().unwrap().success());
     }
 
+    /// Many times: the command signals as early as it can, when the guard has just begun.
     #[test]
     fn a_command_that_signals_its_group_keeps_its_guard() {
-        let mut shell = Command::new("sh");
-        shell
-            .args(["-c", "trap '' TERM; kill -TERM 0; read -r line; exit 7"])
-            .stdin(Stdio::piped());
-        let mut child = BoundChild::spawn(&mut shell).unwrap();
-        let mut stdin = child.process().stdin.take().unwrap();
-        stdin.write_all(b"x\n").unwrap();
-        assert_eq!(child.process().wait().unwrap().code(), Some(7));
-        assert_eq!(child.guard.try_wait().unwrap(), None);
+        for _ in 0..100 {
+            let mut shell = Command::new("sh");
+            shell
+                .args(["-c", "trap '' TERM; kill -TERM 0; read -r line; exit 7"])
+                .stdin(Stdio::piped());
+            let mut child = BoundChild::spawn(&mut shell).unwrap();
+            let mut stdin = child.process().stdin.take().unwrap();
+            stdin.write_all(b"x\n").unwrap();
+            assert_eq!(child.process().wait().unwrap().code(), Some(7));
+            assert_eq!(child.guard.try_wait().unwrap(), None);
+        }
     }
 
     #[test]
