@@ -4,6 +4,7 @@ use super::agreement::Agreement;
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
+use super::machine_limits::keep_higher;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
@@ -118,6 +119,11 @@ pub fn run<E>(
                     problem: error.to_string(),
                 })]
             });
+        let measured = rows.iter().filter_map(|row| match row {
+            Row::Model(row) => Some(row.limits.iter()),
+            _ => None,
+        });
+        measured.flatten().for_each(keep_higher);
         commit(&rows)?;
     }
     Ok(())
