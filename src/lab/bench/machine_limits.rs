@@ -37,18 +37,27 @@ pub fn machine_limits() -> &'static Limits {
     })
 }
 
-/// Keeps limits that were measured, if they are higher than the kept ones: other work lowers them,
-/// and nothing raises them.
-pub(super) fn keep_higher(measured: &Limits) {
-    let Some(path) = path() else { return };
-    let limits = read(&path).map_or_else(
-        || measured.clone(),
-        |kept| Limits {
-            kernels: measured.kernels.clone(),
-            operations_per_s: kept.operations_per_s.max(measured.operations_per_s),
-            read_bytes_per_s: kept.read_bytes_per_s.max(measured.read_bytes_per_s),
-        },
-    );
+/// Keeps the middle of the limits that a bench measured: it had the machine for longer.
+pub(super) fn keep_middle(measured: &[Limits]) {
+    let middle = |limit: fn(&Limits) -> f64| {
+        let mut limits: Vec<f64> = measured.iter().map(|all| limit(all)).collect();
+        limits.sort_by(f64::total_cmp);
+        limits.get(limits.len() / 2).copied()
+    };
+    let (Some(path), Some(first)) = (path(), measured.first()) else {
+        return;
+    };
+    let (Some(operations_per_s), Some(read_bytes_per_s)) = (
+        middle(|all| all.operations_per_s),
+        middle(|all| all.read_bytes_per_s),
+    ) else {
+        return;
+    };
+    let limits = Limits {
+        kernels: first.kernels.clone(),
+        operations_per_s,
+        read_bytes_per_s,
+    };
     let _ = keep(&path, &limits);
 }
 
