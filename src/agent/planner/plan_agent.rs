@@ -291,7 +291,7 @@ mod tests {
     use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH};
     use planagent_world::Scene;
 
-    /// Whether an agent leaves a blocked lane, and where it came back, when no score gets its codes
+    /// Whether an agent leaves a blocked lane, and where it comes back, when no score gets its codes
     /// accepted.
     fn leaves(further_codes: bool, threshold: f64) -> (bool, Option<usize>) {
         let scene = Scene::builder()
