@@ -194,6 +194,34 @@ fn other_places_of_template_and_preprocessor_are_read() {
         config["bos_token"] = json!({"content": "<s>", "lstrip": false});
     });
     assert_same(&copy);
+    copy.edit("tokenizer_config.json", |config| {
+        config["chat_template"] = json!({"tool_use": "none", "default": template});
+    });
+    assert_same(&copy);
+}
+
+/// Writes a number of the language model as Python's json does what is no number.
+fn write_word(copy: &Copy, key: &str, word: &str) {
+    copy.edit("config.json", |config| {
+        config["text_config"][key] = json!("@");
+    });
+    let text = std::fs::read_to_string(copy.path("config.json")).unwrap();
+    std::fs::write(copy.path("config.json"), text.replace("\"@\"", word)).unwrap();
+}
+
+#[test]
+fn what_python_writes_for_no_number_counts_only_where_it_is_read() {
+    for word in ["NaN", "Infinity", "-Infinity"] {
+        let copy = Copy::new();
+        write_word(&copy, "initializer_range", word);
+        assert_same(&copy);
+        write_word(&copy, "rms_norm_eps", word);
+        let error = copy.error().to_string();
+        assert!(
+            error.contains("config.json: text_config.rms_norm_eps") && error.contains(word),
+            "{error}"
+        );
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod files;
 mod finite;
 mod forecast;
 mod gemma_config;
+mod layer_shape;
 mod layers;
 mod llama_config;
 mod load_report;
@@ -29,6 +30,9 @@ pub(crate) use convolution_config::ConvolutionConfig;
 pub(crate) use decoder_type::DecoderType;
 pub(crate) use delta_config::DeltaConfig;
 pub use files::ModelFiles;
+#[cfg(test)]
+pub(crate) use gemma_config::ImageMask;
+pub(crate) use layer_shape::{LayerInputConfig, LayerKeys, LayerShape};
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
 pub use load_report::{
@@ -119,44 +123,49 @@ pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {
     parse_json(path, &read_text(path)?)
 }
 
-/// Parses a small file. What lies there in its place is called what it is.
+/// Parses a small file as Python's json does. What lies there in its place is called what it is.
 pub(crate) fn parse_json(path: &Path, text: &str) -> Result<Value, MllmError> {
     let instead = || {
         let is_empty = text.trim().is_empty();
         let empty = || "the file is empty; download the file again".to_owned();
         what_instead(text.as_bytes()).or_else(|| is_empty.then(empty))
     };
-    serde_json::from_str(text).map_err(|source| match instead() {
-        Some(problem) => MllmError::Read {
-            path: path.to_path_buf(),
-            source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),
-        },
-        None => match no_number(text, &source) {
-            Some(word) => MllmError::Read {
+    serde_json::from_str(text)
+        .or_else(|source| serde_json::from_str(&with_words(text)).map_err(|_| source))
+        .map_err(|source| match instead() {
+            Some(problem) => MllmError::Read {
                 path: path.to_path_buf(),
-                source: std::io::Error::new(
-                    std::io::ErrorKind::InvalidData,
-                    format!(
-                        "line {}: {word}, which Python's json writes, is no number of JSON; write a number in its place",
-                        source.line()
-                    ),
-                ),
+                source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),
             },
             None => MllmError::Json {
                 path: path.to_path_buf(),
                 source,
             },
-        },
-    })
+        })
 }
 
-/// The word at the place of an error, if it is one that Python's json writes for what is no number.
-fn no_number(text: &str, error: &serde_json::Error) -> Option<&'static str> {
-    let line = text.lines().nth(error.line().checked_sub(1)?)?;
-    let before = error.column().saturating_sub(2);
-    let rest = line.get(before..)?;
-    ["NaN", "-Infinity", "Infinity"].into_iter().find(|word| {
-        rest.trim_start_matches([' ', ':', '[', ','])
-            .starts_with(word)
-    })
+/// A text in which what Python's json writes for no number is a text. A key that nobody reads may
+/// have any value, and who reads a number names the key.
+fn with_words(text: &str) -> String {
+    let mut written = String::with_capacity(text.len());
+    let mut inside = false;
+    let mut rest = text;
+    while let Some(first) = rest.chars().next() {
+        let word = ["NaN", "-Infinity", "Infinity"]
+            .into_iter()
+            .find(|word| !inside && rest.starts_with(word));
+        let length = match (word, first) {
+            (Some(word), _) => word.len(),
+            (None, '\\') if inside => 1 + rest.chars().nth(1).map_or(0, char::len_utf8),
+            (None, first) => first.len_utf8(),
+        };
+        inside ^= first == '"';
+        let (piece, after) = rest.split_at(length);
+        match word {
+            Some(word) => written.extend(["\"", word, "\""]),
+            None => written.push_str(piece),
+        }
+        rest = after;
+    }
+    written
 }

@@ -6,7 +6,7 @@ use super::hints::{Refusal, names_address, other_protocol, other_route, without_
 use super::key::ApiKey;
 use super::models::{Offered, named, offered};
 use super::packed::unpacked;
-use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
+use super::reply::{Listen, MAX_BYTES, Reply, read, shortened, value};
 use super::trouble::Trouble;
 use super::waits::{Waits, asked};
 use crate::{Deadline, EndpointFailure, EndpointSettings, MllmError};
@@ -48,6 +48,8 @@ pub(super) struct Question<'a> {
     pub(super) deadline: Deadline,
     /// Hears once that the server loads its model, which takes long.
     pub(super) on_wait: &'a dyn Fn(&str),
+    /// Whether a request that is refused for its form may be sent again in another one.
+    pub(super) may_change: &'a dyn Fn() -> bool,
 }
 
 #[derive(Debug)]
@@ -123,12 +125,15 @@ impl Client {
             let result = self.asked_with_retries(question, listens, &mut pass_on)?;
             let mut kept = forms;
             if let Err(EndpointFailure::Refused { status, message }) = &result {
-                if let Some(wanted) = forms.with_wanted(*status, message, &body) {
-                    forms = wanted;
-                    continue;
+                match forms.with_wanted(*status, message, &body) {
+                    Some(wanted) if (question.may_change)() => {
+                        forms = wanted;
+                        continue;
+                    }
+                    Some(wanted) => kept = wanted,
+                    // Remembered only once it worked: a request may be refused for another reason.
+                    None => kept = Forms::default(),
                 }
-                // Remembered only once it worked: a request may be refused for another reason.
-                kept = Forms::default();
             }
             self.forms.store(kept.0, Ordering::Relaxed);
             return result.map_err(|failure| self.error(self.explained(failure, question)));
@@ -148,6 +153,7 @@ impl Client {
             seed,
             deadline,
             on_wait,
+            ..
         } = question;
         let told = Cell::new(false);
         let spoken = Cell::new(false);
@@ -247,7 +253,7 @@ impl Client {
             .take(MAX_BYTES)
             .read_to_end(&mut bytes)
             .map_err(|error| EndpointFailure::Closed(error.to_string()))?;
-        let list: Value = serde_json::from_slice(&bytes)
+        let list = value(String::from_utf8_lossy(&bytes).trim_start_matches('\u{feff}'))
             .map_err(|error| invalid(format!("the list of models: {error}")))?;
         match Trouble::in_reply(&list) {
             Some(trouble) => Err(trouble.failure(&|text| self.hide(text)).into()),

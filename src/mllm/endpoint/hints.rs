@@ -43,7 +43,7 @@ const PICTURES: [&str; 7] = [
     "content must be a string",
 ];
 /// Words of servers that do not have a model.
-const ABSENT: [&str; 19] = [
+const ABSENT: [&str; 20] = [
     "not found",
     "does not exist",
     "not exist",
@@ -63,6 +63,7 @@ const ABSENT: [&str; 19] = [
     "deprecated",
     "no model specified",
     "specify a model",
+    "allowed now",
 ];
 
 /// Words about a prompt that is too long.
@@ -360,6 +361,12 @@ mod tests {
                 404,
                 "The API deployment for this resource does not exist.",
                 "list",
+            ),
+            (400, "Only a, b allowed now, your model Eye-7B", "list"),
+            (
+                500,
+                "this model is missing data required for image input",
+                "a model that sees",
             ),
             (404, "Not Found", ""),
             (402, "pay first, also for the image", ""),

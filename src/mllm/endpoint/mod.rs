@@ -4,6 +4,7 @@
 mod ahead;
 mod chat;
 mod client;
+mod encodings;
 mod forms;
 mod grammar;
 mod hints;
@@ -246,6 +247,7 @@ impl EndpointConversation<'_> {
             seed,
             deadline: request.deadline,
             on_wait: &|_| (),
+            may_change: &|| true,
         };
         let reply = self.endpoint.client.ask(question, on_text)?;
         let remote = milliseconds(asked.elapsed());

@@ -1,11 +1,12 @@
-//! Two short questions that show whether a server can be asked what a run asks: it is there, has
-//! the model, takes a picture and a constraint, and the model looks at the picture.
+//! At most two short questions that show whether a server can be asked what a run asks: it is there,
+//! has the model, takes a picture and a constraint, and the model looks at the picture.
 
 use super::chat::{self, Chat};
 use super::client::Question;
 use super::{Endpoint, ProbeQuestion};
 use crate::{Constraint, ConstraintUse, Deadline, GrammarField, MllmError, Request};
 use image::{Rgb, RgbImage};
+use std::cell::Cell;
 use std::sync::atomic::Ordering;
 
 /// The system prompt: runs have one, and some models refuse it.
@@ -17,6 +18,10 @@ const OF_PICTURE: &str =
     "The picture has one color. Which one is it? Answer with one word: red or blue.";
 /// The prompt without a picture.
 const OF_NOTHING: &str = "Which color has the clear sky? Answer with one word: red or blue.";
+/// Most requests of a probe. One that is refused for its form counts, so that one question is left.
+const MAX_REQUESTS: usize = 2;
+/// A server that refuses two forms.
+const UNTRIED: &str = "it refused the test question in two forms and asks for another one, which the first planning call tries";
 /// Longest part of an answer in a remark, characters.
 const MAX_SHOWN: usize = 60;
 
@@ -37,21 +42,32 @@ impl Endpoint {
         if self.probed.load(Ordering::Relaxed) {
             return Ok(Vec::new());
         }
-        let answers = if question.picture {
-            let side = self.settings.image_size;
-            COLORS
-                .iter()
-                .map(|(_, color)| {
-                    let picture = RgbImage::from_pixel(side, side, *color);
-                    self.probe_answer(question, Some(&picture), on_wait)
-                })
-                .collect::<Result<Vec<_>, _>>()?
-        } else {
-            vec![self.probe_answer(question, None, on_wait)?]
+        let colors: &[_] = if question.picture { &COLORS } else { &[] };
+        let side = self.settings.image_size;
+        let pictures = colors
+            .iter()
+            .map(|(_, color)| Some(RgbImage::from_pixel(side, side, *color)));
+        let sent = Cell::new(0);
+        let may_send = || {
+            sent.set(sent.get() + 1);
+            sent.get() <= MAX_REQUESTS
         };
+        let mut answers = Vec::new();
+        for picture in pictures.chain(colors.is_empty().then_some(None)) {
+            if sent.get() == MAX_REQUESTS {
+                break;
+            }
+            may_send();
+            match self.probe_answer(question, picture.as_ref(), on_wait, &may_send) {
+                Err(_) if sent.get() > MAX_REQUESTS => {
+                    self.probed.store(true, Ordering::Relaxed);
+                    return Ok(vec![UNTRIED.to_owned()]);
+                }
+                answer => answers.push(answer?),
+            }
+        }
         self.probed.store(true, Ordering::Relaxed);
-        let grammar = self.settings.grammar;
-        Ok(remarks(&answers, grammar))
+        Ok(remarks(&answers, self.settings.grammar, question.picture))
     }
 
     fn probe_answer(
@@ -59,6 +75,7 @@ impl Endpoint {
         question: &ProbeQuestion,
         picture: Option<&RgbImage>,
         on_wait: &dyn Fn(&str),
+        may_change: &dyn Fn() -> bool,
     ) -> Result<ProbeAnswer, MllmError> {
         let constraint = if question.constrained {
             Constraint::Choice(COLORS.map(|(name, _)| name.to_owned()).to_vec())
@@ -92,6 +109,7 @@ impl Endpoint {
             seed: 0,
             deadline: request.deadline,
             on_wait,
+            may_change,
         };
         let reply = self.client.ask(asked, None)?;
         let text = chat::text(&self.settings, &request.constraint, reply.content);
@@ -102,8 +120,8 @@ impl Endpoint {
     }
 }
 
-/// What is odd in the answers: one for each color, or a single one without a picture.
-fn remarks(answers: &[ProbeAnswer], grammar: GrammarField) -> Vec<String> {
+/// What is odd in the answers: one for each color that was shown, or a single one without a picture.
+fn remarks(answers: &[ProbeAnswer], grammar: GrammarField, pictures: bool) -> Vec<String> {
     let mut remarks = Vec::new();
     if answers.iter().any(|answer| answer.text.trim().is_empty()) {
         remarks.push(
@@ -124,26 +142,35 @@ fn remarks(answers: &[ProbeAnswer], grammar: GrammarField) -> Vec<String> {
         ));
     }
     // Remarks and no errors: the questions are simple, but a small model may still fail them.
-    if let [first, second] = answers {
-        let sees = |answer: &ProbeAnswer, own: usize| {
-            COLORS
-                .iter()
-                .enumerate()
-                .all(|(index, (name, _))| has_word(&answer.text, name) == (index == own))
-        };
-        if first.text.trim() == second.text.trim() {
+    let shows = |answer: &ProbeAnswer, own: usize| {
+        COLORS
+            .iter()
+            .enumerate()
+            .all(|(index, (name, _))| has_word(&answer.text, name) == (index == own))
+    };
+    let badly = match answers {
+        [first, second] if first.text.trim() == second.text.trim() => {
             remarks.push(format!(
                 "it answers {} to a red picture and to a blue one, so it may not look at pictures: start the server with a \
                  model that sees (llama.cpp: with its mmproj file), or set environment.bev=false",
                 shown(&first.text)
             ));
-        } else if !(sees(first, 0) && sees(second, 1)) {
-            remarks.push(format!(
-                "it answers {} to a red picture and {} to a blue one: it may see pictures badly, or not follow prompts",
-                shown(&first.text),
-                shown(&second.text)
-            ));
+            None
         }
+        [first, second] if !(shows(first, 0) && shows(second, 1)) => Some(format!(
+            "{} to a red picture and {} to a blue one",
+            shown(&first.text),
+            shown(&second.text)
+        )),
+        [only] if pictures && !shows(only, 0) => {
+            Some(format!("{} to a red picture", shown(&only.text)))
+        }
+        _ => None,
+    };
+    if let Some(answered) = badly {
+        remarks.push(format!(
+            "it answers {answered}: it may see pictures badly, or not follow prompts"
+        ));
     }
     remarks
 }
@@ -182,15 +209,18 @@ mod tests {
 
     #[test]
     fn a_model_that_sees_gets_no_remark_and_each_fault_gets_its_own() {
-        let told = |texts: &[&str]| remarks(&answers(texts), GrammarField::Gbnf).join("\n");
+        let told = |texts: &[&str]| remarks(&answers(texts), GrammarField::Gbnf, true).join("\n");
         for seeing in [
             &["red", "blue"][..],
             &["Red.", " The picture is BLUE\n"],
-            &["blue"],
             &["red"],
+            &[],
         ] {
             assert_eq!(told(seeing), "", "{seeing:?}");
         }
+        let sky = |text| remarks(&answers(&[text]), GrammarField::Gbnf, false);
+        assert_eq!(sky("blue"), [] as [&str; 0]);
+        assert!(told(&["blue"]).contains("\"blue\" to a red picture: it may see"));
         assert!(told(&["red", "red"]).contains("may not look at pictures"));
         assert!(told(&["I cannot see", "I cannot see "]).contains("may not look at pictures"));
         assert!(told(&["blue", "red"]).contains("may see pictures badly"));
@@ -199,7 +229,7 @@ mod tests {
         assert!(told(&[" "]).contains("with nothing"));
         let mut free = answers(&["It is red", "It is blue"]);
         free[1].constraint = ConstraintUse::Violated;
-        let told = remarks(&free, GrammarField::JsonSchema).join("\n");
+        let told = remarks(&free, GrammarField::JsonSchema, true).join("\n");
         assert!(
             told.contains("does not follow the grammar (json_schema)"),
             "{told}"

@@ -3,7 +3,9 @@
 
 use super::Endpoint;
 use super::fake_server::{FakeServer, answer, ask, asked, response, settings};
-use crate::{EndpointFailure, EndpointSettings, GrammarField, Mllm, MllmError};
+use crate::{
+    EndpointFailure, EndpointSettings, GrammarField, Mllm, MllmError, ProbeQuestion, Sampling,
+};
 
 const CHAT: &str = "POST /v1/chat/completions";
 const LIST: &str = "GET /v1/models";
@@ -432,4 +434,46 @@ fn an_answer_without_a_choice_is_a_turn_that_no_server_is_asked_for() {
         sent.contains("What now?") && sent.contains("keep the lane"),
         "{sent}"
     );
+}
+
+/// The answers of a server's refusals, and the requests and remarks of a probe.
+fn probed(refusals: &[(&str, &str)]) -> (Result<Vec<String>, String>, Vec<String>) {
+    let body = |message: &str| serde_json::json!({ "error": { "message": message } }).to_string();
+    let refused = refusals
+        .iter()
+        .map(|(status, message)| response(status, &body(message)));
+    let answers = [answer("red"), answer("blue"), answer("blue")];
+    let server = FakeServer::start(refused.chain(answers).collect());
+    let endpoint = Endpoint::open("test", &settings(&server.url())).unwrap();
+    let question = ProbeQuestion {
+        picture: true,
+        constrained: false,
+        max_new_tokens: 9,
+        sampling: Sampling::Greedy,
+    };
+    let result = endpoint.probe(&question, &|_| ());
+    // Whatever the probe learned, the question after it is answered at once.
+    let asked = server.requests();
+    ask(&endpoint).unwrap();
+    assert_eq!(server.requests().len(), asked.len() + 1);
+    (result.map_err(|error| error.to_string()), asked)
+}
+
+#[test]
+fn a_probe_has_at_most_two_requests_whatever_is_refused() {
+    let system = ("400 Bad Request", "System role not supported");
+    let picture = ("422 Unprocessable", "image_url must be a string");
+    for (refusals, remark) in [
+        (vec![], ""),
+        (vec![system], ""),
+        (vec![system, picture], "asks for another"),
+    ] {
+        let (result, asked) = probed(&refusals);
+        assert_eq!(asked.len(), 2, "{refusals:?}");
+        let told = result.unwrap().join("\n");
+        assert!(
+            told.contains(remark) && told.is_empty() == remark.is_empty(),
+            "{refusals:?}: {told}"
+        );
+    }
 }

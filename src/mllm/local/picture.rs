@@ -76,7 +76,7 @@ impl Tower {
                 .filter(|(name, _)| name.starts_with("vision"))
         };
         let kernel = vision()
-            .find(|(name, _)| name.contains("patch_embedding") && name.ends_with(".weight"))
+            .find(|(name, _)| name.contains("patch_embed") && name.ends_with(".weight"))
             .map(|(_, shape)| shape.as_slice());
         let (hidden, patch) = match kernel {
             Some([hidden, .., rows, columns]) if *rows == *columns => (*hidden, rows * columns),

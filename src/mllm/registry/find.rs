@@ -42,7 +42,8 @@ fn in_folder(path: &Path) -> Result<ModelSource, MllmError> {
     if let Some(folder) = hub::snapshot_in(path) {
         return Ok(ModelSource::Folder { folder });
     }
-    let inner = if is_model_folder(path) {
+    // Weights without a configuration are a model that is not whole.
+    let inner = if is_model_folder(path) || has_weights(path) {
         Vec::new()
     } else {
         inner_models(path)
@@ -65,6 +66,13 @@ fn in_folder(path: &Path) -> Result<ModelSource, MllmError> {
 /// Whether a folder has a file that a model begins with.
 fn is_model_folder(folder: &Path) -> bool {
     folder.join(CONFIG).is_file() || names_in(folder).iter().any(|path| hub::is_gguf(path))
+}
+
+fn has_weights(folder: &Path) -> bool {
+    names_in(folder).iter().any(|path| {
+        path.extension()
+            .is_some_and(|ending| ending == "safetensors")
+    })
 }
 
 /// The folders of models in a folder that is none, as a clone or an archive leaves them.

@@ -71,6 +71,8 @@ fn names_folders_and_ids_are_found() {
             "org/repo (refs/pr/1)",
         ),
         ("https://huggingface.co/org/repo", "repo", "org/repo"),
+        (" org/repo/ ", "repo", "org/repo"),
+        ("models--org--repo", "repo", "org/repo"),
         (
             "https://huggingface.co/org/repo/blob/main/m-q4_k.gguf",
             "m-q4_k.gguf",
@@ -208,9 +210,12 @@ fn a_file_or_a_folder_near_a_model_leads_to_it() {
     let at = |path: &str| root.path().join(path).to_str().unwrap().to_owned();
     std::fs::create_dir_all(at("outer/m")).unwrap();
     std::fs::create_dir_all(at("empty")).unwrap();
+    std::fs::create_dir_all(at("half/original")).unwrap();
     for (file, text) in [
         ("outer/m/config.json", "{}"),
         ("outer/m/model.safetensors", "x"),
+        ("half/model-00001-of-00002.safetensors", "x"),
+        ("half/original/config.json", "{}"),
         ("sha256-0123", "GGUF\u{3}"),
         ("a.tar", "PK\u{3}\u{4}"),
         ("alone.safetensors", "<!DOCTYPE html>"),
@@ -246,8 +251,8 @@ fn a_file_or_a_folder_near_a_model_leads_to_it() {
             "{said}"
         );
     }
-    assert!(
-        registry.find(&at("empty")).is_ok(),
-        "opening it says what it lacks"
-    );
+    for folder in ["empty", "half"] {
+        let found = registry.find(&at(folder));
+        assert!(found.is_ok(), "{folder}: opening it says what it lacks");
+    }
 }

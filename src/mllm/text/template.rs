@@ -231,13 +231,11 @@ fn fixed_date(format: &str) -> Result<String, Error> {
 
 /// The `chat_template` of a configuration.
 #[derive(Deserialize)]
-#[serde(
-    untagged,
-    expecting = "expected a text, or a list of templates with names"
-)]
+#[serde(untagged, expecting = "expected a text, or templates with names")]
 enum Templates {
     One(String),
     Named(Vec<NamedTemplate>),
+    ByName(BTreeMap<String, String>),
 }
 
 #[derive(Deserialize)]
@@ -269,14 +267,15 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
         let root = ConfigObject::root(&path, &value)?;
         let source = match root.value("chat_template")? {
             None => continue,
-            Some(Templates::One(source)) => source,
+            Some(Templates::One(source)) => Some(source),
             Some(Templates::Named(named)) => {
                 let default = named.into_iter().find(|entry| entry.name == "default");
-                default
-                    .ok_or_else(|| root.error("chat_template", "has no template named default"))?
-                    .template
+                default.map(|entry| entry.template)
             }
+            Some(Templates::ByName(mut named)) => named.remove("default"),
         };
+        let source =
+            source.ok_or_else(|| root.error("chat_template", "has no template named default"))?;
         return Ok((path, source));
     }
     Err(files.missing(

@@ -200,7 +200,7 @@ fn missing_and_damaged_files_are_reported() {
     };
     let without =
         |file: &'static str| check(&|folder| std::fs::remove_file(folder.join(file)).unwrap());
-    assert!(without(POSES).contains("neither city_SE3_egovehicle.feather"));
+    assert!(without(POSES).contains("there is no city_SE3_egovehicle.feather"));
     assert!(without(ANNOTATIONS).contains("there is no annotations*.feather"));
     assert!(without(MAP).contains("there is no map/log_map_archive_*.json"));
     let cut = |file: &'static str, share: usize| {
@@ -224,6 +224,8 @@ fn missing_and_damaged_files_are_reported() {
     }
     let old = check(&|folder| std::fs::write(folder.join(POSES), b"FEA1 and so on").unwrap());
     assert!(old.contains("Feather version 1"), "{old}");
+    let stream = check(&|folder| std::fs::write(folder.join(POSES), [0xff; 64]).unwrap());
+    assert!(stream.contains("a stream of Arrow"), "{stream}");
 }
 
 proptest! {

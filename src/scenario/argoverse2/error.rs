@@ -21,6 +21,10 @@ pub enum LogFault {
     Read(#[from] io::Error),
     #[error("Feather version 1; version 2 (an Arrow IPC file) is needed")]
     OldFeather,
+    #[error(
+        "a stream of Arrow; a Feather file (an Arrow IPC file) is needed: write it by `write_feather`"
+    )]
+    Stream,
     #[error("not a valid Feather file: {0}")]
     Arrow(#[from] ArrowError),
     #[error("not a valid Feather file: damaged {part} {number}")]

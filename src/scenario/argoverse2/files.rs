@@ -30,8 +30,7 @@ impl LogFiles {
             let annotations = if published.is_file() {
                 published
             } else {
-                first_named(folder, "annotations", ".feather")?
-                    .ok_or_else(|| missing("annotations*.feather"))?
+                annotations_in(folder)?.ok_or_else(|| missing("annotations*.feather"))?
             };
             let maps = folder.join("map");
             let map = if maps.is_dir() { map_in(&maps)? } else { None };
@@ -42,10 +41,18 @@ impl LogFiles {
                 map,
             }));
         }
-        let tracks = first_named(folder, "scenario_", ".parquet")?;
-        let tracks = tracks.ok_or_else(|| Argoverse2Error::at(folder)(LogFault::NoLog))?;
-        let map = map_in(folder)?.ok_or_else(|| missing("log_map_archive_*.json"))?;
-        Ok(Self::Forecasting { tracks, map })
+        if annotations_in(folder)?.is_some() {
+            return Err(missing(POSES));
+        }
+        match (
+            first_named(folder, "scenario_", ".parquet")?,
+            map_in(folder)?,
+        ) {
+            (Some(tracks), Some(map)) => Ok(Self::Forecasting { tracks, map }),
+            (Some(_), None) => Err(missing("log_map_archive_*.json")),
+            (None, Some(_)) => Err(missing("scenario_*.parquet")),
+            (None, None) => Err(Argoverse2Error::at(folder)(LogFault::NoLog)),
+        }
     }
 
     /// All of them.
@@ -59,6 +66,10 @@ impl LogFiles {
             Self::Forecasting { tracks, map } => vec![tracks, map],
         }
     }
+}
+
+fn annotations_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {
+    first_named(folder, "annotations", ".feather")
 }
 
 fn map_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {
@@ -91,10 +102,14 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
     Ok(paths)
 }
 
-/// True if a folder is a log, complete or not.
+/// True if a folder is a log, complete or not: it has one of its files, unless that is the map in
+/// the folder of maps of a log of sensors.
 pub(crate) fn is_log(folder: &Path) -> bool {
+    let has = |found: Result<Option<PathBuf>, Argoverse2Error>| matches!(found, Ok(Some(_)));
     folder.join(POSES).is_file()
-        || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
+        || has(first_named(folder, "scenario_", ".parquet"))
+        || has(annotations_in(folder))
+        || folder.file_name().is_some_and(|name| name != "map") && has(map_in(folder))
 }
 
 /// The logs in a folder and in the folders directly below it (`sensor/val/LOG` for `sensor`), by

@@ -90,4 +90,42 @@ mod tests {
         assert_eq!(listed.len(), 1);
         assert_eq!(listed[0].to_string(), word_of(log.as_os_str()));
     }
+
+    #[test]
+    fn a_log_without_one_of_its_files_is_no_other_folder() {
+        let root = tempfile::tempdir().unwrap();
+        for (log, files, missing) in [
+            (
+                "csv",
+                &["log_map_archive_1.json", "scenario_1.csv"][..],
+                "scenario_*.parquet",
+            ),
+            (
+                "unposed",
+                &["annotations.feather", "map/log_map_archive_1.json"],
+                "city_SE3_egovehicle.feather",
+            ),
+        ] {
+            for file in files {
+                let file = root.path().join(log).join(file);
+                std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+                std::fs::write(file, "").unwrap();
+            }
+            let log = root.path().join(log);
+            let [listed] = &Argoverse2Reader.list(&word_of(log.as_os_str())).unwrap()[..] else {
+                panic!("one log")
+            };
+            let error = listed.open().unwrap_err().to_string();
+            assert!(
+                error.ends_with(&format!("there is no {missing}")),
+                "{error}"
+            );
+        }
+        let maps = root.path().join("unposed/map");
+        assert_eq!(log_at(&maps), None, "the maps of a log are none");
+        let all = Argoverse2Reader
+            .list(&word_of(root.path().as_os_str()))
+            .unwrap();
+        assert_eq!(all.len(), 2);
+    }
 }

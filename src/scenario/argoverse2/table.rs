@@ -19,6 +19,9 @@ use std::path::Path;
 /// First bytes of a Feather file of version 1.
 const FEATHER_1: &[u8] = b"FEA1";
 
+/// First bytes of a stream of Arrow.
+const STREAM: &[u8] = &[0xff; 4];
+
 /// First bytes of a Feather file of version 2, and of a Parquet file.
 const FEATHER: &[u8] = b"ARROW1";
 const PARQUET: &[u8] = b"PAR1";
@@ -37,6 +40,8 @@ impl Table {
         read.map_err(Argoverse2Error::at(path))?;
         let table = if bytes.starts_with(FEATHER_1) {
             Err(LogFault::OldFeather)
+        } else if bytes.starts_with(STREAM) {
+            Err(LogFault::Stream)
         } else {
             check_kind(&bytes, FEATHER, "Feather").and_then(|()| guarded(|| Self::of_ipc(&bytes)))
         };

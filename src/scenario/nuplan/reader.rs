@@ -113,7 +113,19 @@ impl NuPlanReader {
                 }
                 fault => Err(NuPlanError::file(&path, fault).into()),
             },
-            logs => self.tagged(&logs?, folder),
+            logs => {
+                let logs = logs?;
+                let result = self.tagged(&logs, folder);
+                // Other programs write databases too, beside recordings of other kinds.
+                if result.is_err() && logs.logs.iter().all(|log| log.is_another_database()) {
+                    let paths = logs.logs.iter().map(|log| log.path.display());
+                    let others: Vec<String> =
+                        paths.map(|path| format!("{path}: no nuPlan log")).collect();
+                    self.note(passed_over(&others));
+                    return Ok(Vec::new());
+                }
+                result
+            }
         }
     }
 
@@ -294,5 +306,23 @@ fn split_token(word: &str) -> (&str, Option<&str>) {
     match word.rsplit_once(TOKEN_MARK) {
         Some((file, token)) if file.ends_with(LOG_ENDING) => (file, Some(token)),
         _ => (word, None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn databases_of_other_programs_are_no_logs_of_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        rusqlite::Connection::open(folder.path().join("photos.db"))
+            .unwrap()
+            .execute_batch("CREATE TABLE album (name TEXT)")
+            .unwrap();
+        let reader = NuPlanReader::new(DataRoots::default());
+        assert!(reader.in_folder(folder.path()).unwrap().is_empty());
+        let notes = reader.take_notes();
+        assert!(notes[0].contains("photos.db: no nuPlan log"), "{notes:?}");
     }
 }

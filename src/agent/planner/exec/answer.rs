@@ -151,7 +151,8 @@ fn shape_fault(value: Value) -> String {
 fn field_fault<T: for<'de> Deserialize<'de>>(value: Value) -> String {
     let whole = value.clone();
     let Err(error) = serde_path_to_error::deserialize::<_, T>(value) else {
-        return "its fields cannot be read".to_owned();
+        // Only what a parsed object cannot show: a key that stood twice.
+        return "an object has a key twice".to_owned();
     };
     let found = error
         .path()
@@ -321,6 +322,10 @@ mod tests {
             ("Traceback (most recent call last):", "a line of text"),
             ("<!DOCTYPE html><html>", "HTML"),
             ("{'type': 'ready'}", "single quotes"),
+            (
+                "{\"type\": \"trajectory\", \"states\": [], \"states\": []}",
+                "an object has a key twice",
+            ),
             ("{\"type\": 'ready'}", "single quotes"),
             ("{\"type\": \"ready\",}", "comma"),
             (

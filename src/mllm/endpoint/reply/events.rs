@@ -9,6 +9,9 @@ use std::io::BufRead;
 /// of llama.cpp.
 const FIELDS: [&str; 6] = ["data", "event", "id", "retry", "error", ""];
 
+/// What some gateways put before JSON, so that no browser runs it.
+const NO_SCRIPT: &str = ")]}'";
+
 /// What a response has next.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Line {
@@ -37,6 +40,8 @@ pub(super) struct Events<R> {
     lines: String,
     /// Where the next of these lines begins; `None` after the last.
     next: Option<usize>,
+    /// Why the bytes ended, where lines before the end are not taken yet.
+    broken: Option<EndpointFailure>,
 }
 
 impl<R: BufRead> Events<R> {
@@ -50,6 +55,7 @@ impl<R: BufRead> Events<R> {
             data,
             lines,
             next: None,
+            broken: None,
         }
     }
 
@@ -74,6 +80,9 @@ impl<R: BufRead> Events<R> {
                     true => Line::Whole(String::new()),
                 });
             };
+            if !self.streams && line.trim() == NO_SCRIPT {
+                continue;
+            }
             if !self.streams && !line.trim().is_empty() {
                 if field(&line).is_none() {
                     return self.whole(line);
@@ -133,11 +142,17 @@ impl<R: BufRead> Events<R> {
     fn whole(&mut self, first: String) -> Result<Line, EndpointFailure> {
         self.streams = true;
         let mut text = first;
-        while let Some(line) = self.line()? {
-            text.push('\n');
-            text.push_str(&line);
+        loop {
+            match self.line() {
+                Ok(Some(line)) => {
+                    text.push('\n');
+                    text.push_str(&line);
+                }
+                // A connection that breaks behind the last byte of JSON costs nothing.
+                Err(failure) if !is_value(&text) => return Err(failure),
+                Ok(None) | Err(_) => return Ok(Line::Whole(text)),
+            }
         }
-        Ok(Line::Whole(text))
     }
 
     /// The next line without its end; `None` at the end of the bytes.
@@ -159,11 +174,17 @@ impl<R: BufRead> Events<R> {
 
     /// Reads up to the next line feed; `false` at the end of the bytes.
     fn fill(&mut self) -> Result<bool, EndpointFailure> {
+        if let Some(failure) = self.broken.take() {
+            return Err(failure);
+        }
         let mut bytes = Vec::new();
-        let length = self
-            .body
-            .read_until(b'\n', &mut bytes)
-            .map_err(|error| incomplete(&error))?;
+        if let Err(error) = self.body.read_until(b'\n', &mut bytes) {
+            self.broken = Some(incomplete(&error));
+            if bytes.is_empty() {
+                return self.fill();
+            }
+        }
+        let length = bytes.len();
         let first = self.read == 0;
         self.read += length as u64;
         if self.read > MAX_BYTES {
@@ -184,14 +205,24 @@ impl<R: BufRead> Events<R> {
     }
 }
 
+fn is_value(text: &str) -> bool {
+    serde_json::from_str::<serde::de::IgnoredAny>(text).is_ok()
+}
+
 /// Whether a text is the beginning of a JSON value.
 fn is_open(data: &str) -> bool {
     serde_json::from_str::<serde::de::IgnoredAny>(data).is_err_and(|error| error.is_eof())
 }
 
-/// Name and value of a field; `None` for a line of another kind.
+/// Name and value of a field; `None` for a line of another kind. The standard knows small letters
+/// without a space alone, and no stream has another meaning for others.
 fn field(line: &str) -> Option<(&str, &str)> {
-    let (name, value) = line.split_once(':')?;
+    let (written, value) = line.split_once(':')?;
+    let written = written.trim_start();
+    let name = ["data", "event"]
+        .into_iter()
+        .find(|name| name.eq_ignore_ascii_case(written))
+        .unwrap_or(written);
     let mut value = value.trim();
     // A proxy that takes an event for its data puts a second name before it.
     while name == "data"
@@ -279,6 +310,10 @@ mod tests {
                 "data: data: {\"a\":1}\n\ndata: data:{\"b\":2}\n\ndata: data: [DONE]\n\n",
             ),
             (
+                "large letters and spaces",
+                " Data: {\"a\":1}\n\nEVENT: x\nDATA: {\"b\":2}\n\nDATA: [DONE]\n\n",
+            ),
+            (
                 "JSON without a field",
                 "data: {\"a\":1}\n\n{\"b\":2}\n\ndata: [DONE]\n\n",
             ),
@@ -308,9 +343,35 @@ mod tests {
             [event("{\"a\":1}")]
         );
         assert_eq!(lines("data: broken\n\n"), [event("broken")]);
+        assert_eq!(lines(")]}'\n{}"), [Line::Whole("{}".to_owned())]);
         for whole in ["{\n\"a\": 1\n}", "<html>\nx", "no JSON", "[1]", "datum: 3"] {
             assert_eq!(lines(whole), [Line::Whole(whole.to_owned())]);
         }
         assert_eq!(lines(" \n\r\n"), [Line::Whole(String::new())]);
+    }
+
+    /// Bytes whose connection breaks behind them.
+    struct Cut(&'static [u8]);
+
+    impl std::io::Read for Cut {
+        fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+            match self.0.read(buffer)? {
+                0 => Err(std::io::ErrorKind::UnexpectedEof.into()),
+                length => Ok(length),
+            }
+        }
+    }
+
+    #[test]
+    fn what_came_before_a_connection_breaks_is_read() {
+        let mut whole = Events::new(std::io::BufReader::new(Cut(b"{\n\"a\": 1}")));
+        assert_eq!(whole.next().unwrap(), Line::Whole("{\n\"a\": 1}".into()));
+        let mut half = Events::new(std::io::BufReader::new(Cut(b"{\"a\": ")));
+        assert!(matches!(half.next(), Err(EndpointFailure::Closed(_))));
+        for stream in ["data: {\"a\":1}", "data: {\"a\":1}\n\ndata: {\"b\""] {
+            let mut events = Events::new(std::io::BufReader::new(Cut(stream.as_bytes())));
+            assert_eq!(events.next().unwrap(), event("{\"a\":1}"));
+            assert!(matches!(events.next(), Err(EndpointFailure::Closed(_))));
+        }
     }
 }

@@ -119,6 +119,9 @@ impl Gathered {
         if let Value::Array(parts) = part {
             return parts.iter().try_for_each(|part| self.add(part, listen));
         }
+        if let Some(inner) = inner_text(part) {
+            return self.add(&inner, listen);
+        }
         let part = unwrapped(part);
         let choice = choice_of(part);
         if let Some(trouble) = Trouble::in_reply(part)
@@ -136,20 +139,15 @@ impl Gathered {
             self.tokens = tokens;
         }
         if let Some(choice) = choice {
-            return self.add_choice(choice, listen);
+            self.add_choice(choice, listen);
+            return Ok(());
         }
         self.other = self.other.or_else(|| interface_of(part));
         Ok(())
     }
 
-    fn add_choice(
-        &mut self,
-        choice: &Value,
-        listen: &mut Listen<'_>,
-    ) -> Result<(), EndpointFailure> {
-        let said = Said::from_choice(choice).map_err(|problem| {
-            EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
-        })?;
+    fn add_choice(&mut self, choice: &Value, listen: &mut Listen<'_>) {
+        let said = Said::from_choice(choice);
         self.chosen |= choice.is_string()
             || ["delta", "message", "messages", "text"]
                 .iter()
@@ -178,7 +176,6 @@ impl Gathered {
             (listen.on_text)(piece);
             self.told.push_str(piece);
         }
-        Ok(())
     }
 
     /// The answer at the end of the bytes; `marked` says that the server marked this end.
@@ -262,6 +259,17 @@ impl Gathered {
     }
 }
 
+/// A completion that stands as a text in another reply, as behind functions of a cloud.
+fn inner_text(part: &Value) -> Option<Value> {
+    if part.get("choices").is_some() {
+        return None;
+    }
+    let text = part.as_str().or_else(|| part.get("body")?.as_str())?;
+    value(text)
+        .ok()
+        .filter(|inner| inner.get("choices").is_some())
+}
+
 /// A completion without what a gateway wraps it into.
 fn unwrapped(part: &Value) -> &Value {
     if part.get("choices").is_some() {
@@ -295,8 +303,8 @@ fn choice_of(part: &Value) -> Option<&Value> {
 
 /// Whether a choice is an answer and its end, which no error beside it takes away.
 fn is_whole(choice: &Value) -> bool {
-    let is_said = Said::from_choice(choice).is_ok_and(|said| !said.text.is_empty());
-    is_said && matches!(Ending::from_choice(choice), Some(Ending::Answer(_)))
+    !Said::from_choice(choice).text.is_empty()
+        && matches!(Ending::from_choice(choice), Some(Ending::Answer(_)))
 }
 
 /// What is wrong with a text that is no JSON.

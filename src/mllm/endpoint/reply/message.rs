@@ -1,6 +1,6 @@
 //! Where servers put the text of an answer, and what they put beside it.
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama
 /// and `OpenRouter`; `LiteLLM`; others.
@@ -39,14 +39,11 @@ const CALLS: [&str; 2] = ["tool_calls", "function_call"];
 
 impl Said {
     /// Reads a choice.
-    ///
-    /// # Errors
-    /// When its content has a form that is nobody's; the text names it.
-    pub(super) fn from_choice(choice: &Value) -> Result<Self, String> {
+    pub(super) fn from_choice(choice: &Value) -> Self {
         let mut said = Self::default();
         if let Some(text) = choice.as_str() {
             said.text.push_str(text);
-            return Ok(said);
+            return said;
         }
         let piece = choice.get("delta").and_then(message_of);
         let whole = ["message", "messages"]
@@ -62,7 +59,7 @@ impl Said {
         if let Some(text) = message.and_then(Value::as_str) {
             said.text.push_str(text);
         } else if let Some(message) = message {
-            said.add(message.get("content").unwrap_or(&Value::Null))?;
+            said.add(message.get("content").unwrap_or(&Value::Null));
             if said.reasoning.is_empty() {
                 let fields = REASONING.iter().filter_map(|name| message.get(name));
                 said.reasoning = fields
@@ -84,21 +81,21 @@ impl Said {
             // The older completions have no message.
             said.text.push_str(text);
         }
-        Ok(said)
+        said
     }
 
-    /// Adds a content: a text, a list of parts, or a part.
-    fn add(&mut self, content: &Value) -> Result<(), String> {
+    /// Adds a content: a text, a list of parts, or a part. Proxies that read the answer's JSON put
+    /// its value there.
+    fn add(&mut self, content: &Value) {
         match content {
             Value::Null => {}
             Value::String(text) => self.text.push_str(text),
             Value::Array(parts) => parts.iter().for_each(|part| self.add_part(part)),
-            Value::Object(_) => self.add_part(content),
-            Value::Bool(_) | Value::Number(_) => {
-                return Err(format!("content is {content}, and no text"));
+            Value::Object(part) if is_part(part) => self.add_part(content),
+            Value::Bool(_) | Value::Number(_) | Value::Object(_) => {
+                self.text.push_str(&content.to_string());
             }
         }
-        Ok(())
     }
 
     /// Adds a part. Parts of unknown types, such as references, are no text of the answer.
@@ -118,6 +115,12 @@ impl Said {
                 .push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
     }
+}
+
+/// Whether an object is a part of a content, and no value of its own.
+fn is_part(object: &Map<String, Value>) -> bool {
+    let mut named = ["type", "text", "thinking", "reasoning"].iter();
+    object.is_empty() || named.any(|name| object.contains_key(*name))
 }
 
 /// Whether a choice has a message so far, and no piece of one.
@@ -254,10 +257,10 @@ mod tests {
         ] {
             assert_eq!(
                 Said::from_choice(&choice),
-                Ok(Said {
+                Said {
                     text: "keep left".into(),
                     ..Said::default()
-                }),
+                },
                 "{what}"
             );
         }
@@ -294,10 +297,10 @@ mod tests {
             let said = Said::from_choice(&json!({"message": message}));
             assert_eq!(
                 said,
-                Ok(Said {
+                Said {
                     reasoning: "Hm.".into(),
                     ..Said::default()
-                }),
+                },
                 "{what}"
             );
         }
@@ -311,22 +314,29 @@ mod tests {
             json!({"message": {"content": []}}),
             json!(3),
         ] {
-            assert_eq!(Said::from_choice(&choice), Ok(Said::default()), "{choice}");
+            assert_eq!(Said::from_choice(&choice), Said::default(), "{choice}");
         }
         for message in [
             json!({"refusal": "No."}),
             json!({"content": [{"type": "refusal", "refusal": "No."}]}),
         ] {
             assert_eq!(
-                Said::from_choice(&json!({"message": message}))
-                    .unwrap()
-                    .refusal,
+                Said::from_choice(&json!({"message": message})).refusal,
                 "No."
             );
         }
-        for content in [json!(3), json!(true)] {
-            let problem = Said::from_choice(&json!({"message": {"content": content}})).unwrap_err();
-            assert!(problem.contains(&content.to_string()), "{problem}");
+        for content in [
+            json!(3),
+            json!(-0.5),
+            json!(true),
+            json!({"answer": "keep"}),
+        ] {
+            let said = Said::from_choice(&json!({"message": {"content": content}}));
+            assert_eq!(
+                said.text,
+                content.to_string(),
+                "a value in place of its text"
+            );
         }
     }
 }

@@ -132,6 +132,14 @@ fn a_complete_answer_is_kept_whatever_its_form() {
             "a line of a batch",
             r#"{"custom_id": "1", "response": {"status_code": 200, "body": {"choices": [{"message": {"content": "keep"}}]}}, "error": null}"#.to_owned(),
         ),
+        (
+            "a text in the reply of a cloud's function",
+            r#"{"statusCode": 200, "body": "{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}"}"#.to_owned(),
+        ),
+        (
+            "a text of JSON",
+            r#""{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}""#.to_owned(),
+        ),
         ("an empty choice before it", r#"{"choices": [null, {"message": {"content": "keep"}}]}"#.to_owned()),
         ("lines of JSON", format!("{piece}\n{end}\n")),
         ("a byte order mark", "\u{feff}{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}".to_owned()),
@@ -287,7 +295,6 @@ fn nonsense_and_broken_answers_are_told_apart() {
         "null",
         r#"{"choices": []}"#,
         r#"{"choices": [{"finish_reason": "stop"}]}"#,
-        r#"{"choices": [{"message": {"content": 3}}]}"#,
         "data: nonsense\n\n",
         "data: 3\n\n",
     ] {

@@ -44,12 +44,13 @@ const PASSING: [&str; 14] = [
 /// Words of failures that no retry mends, though their status is 429 or 5xx: quotas of `OpenAI`;
 /// llama.cpp's server without a vision part, with a grammar or a template that it cannot use, with
 /// a prompt that is too long.
-const LASTING: [&str; 10] = [
+const LASTING: [&str; 11] = [
     "insufficient_quota",
     "exceeded your current quota",
     "billing_hard_limit",
     "image input is not supported",
     "does not support image",
+    "required for image input",
     "failed to parse grammar",
     "exceeds the available context size",
     "system role not supported",
@@ -196,14 +197,26 @@ fn loads(status: u16, message: &str) -> bool {
     let loading = [
         "loading model",
         "model is loading",
+        "model loading",
         "currently loading",
         "still loading",
         "loading the model",
+        "loading weights",
+        "being loaded",
+        "not yet loaded",
+        "not loaded yet",
+    ];
+    // Other states of a server that will serve, where its status says so too.
+    let starting = [
+        "warming up",
+        "starting up",
+        "is starting",
+        "initializing",
+        "not ready",
     ];
     let failed = ["error", "fail", "unable", "cannot"];
-    status == 503
-        && loading.iter().any(|words| plain.contains(words))
-        && !failed.iter().any(|words| plain.contains(words))
+    let says = |words: &[&str]| words.iter().any(|words| plain.contains(words));
+    (passes(status) && says(&loading) || status == 503 && says(&starting)) && !says(&failed)
 }
 
 fn lasts(text: &str) -> bool {

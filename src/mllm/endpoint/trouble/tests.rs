@@ -228,6 +228,9 @@ fn a_server_that_loads_is_told_from_one_that_cannot() {
         r#"{"status": "loading model"}"#,
         r#"{"error": "Model a/b is currently loading", "estimated_time": 20.0}"#,
         "The model is loading",
+        r#"{"detail": "Model is not yet loaded"}"#,
+        "Server is warming up, try again later",
+        r#"{"error": {"message": "the engine is not ready"}}"#,
     ] {
         assert!(
             matches!(
@@ -242,10 +245,18 @@ fn a_server_that_loads_is_told_from_one_that_cannot() {
         in_reply(&inside),
         Some(EndpointFailure::Loading { status: 503, .. })
     ));
+    for status in [409, 425, 429, 500, 502, 503, 504] {
+        let failure = behind(status, "Loading model");
+        assert!(
+            matches!(failure, EndpointFailure::Loading { .. }),
+            "{status}"
+        );
+    }
     for (status, message) in [
         (503, "error loading model: no memory"),
         (503, "busy"),
-        (500, "Loading model"),
+        (500, "the engine is not ready"),
+        (429, "the queue is initializing"),
     ] {
         assert!(
             matches!(behind(status, message), EndpointFailure::Unavailable { .. }),

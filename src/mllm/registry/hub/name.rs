@@ -31,8 +31,13 @@ impl HubName {
     }
 }
 
-/// `organization/name`, perhaps with `@revision`, and with `:QUANT` or `/file.gguf`.
+/// `organization/name`, perhaps with `@revision`, and with `:QUANT` or `/file.gguf`; or the name of
+/// its folder in a cache.
 pub(in crate::registry) fn plain(word: &str) -> Option<HubName> {
+    let word = word.trim().trim_end_matches('/');
+    if let Some(folder) = word.strip_prefix("models--") {
+        return of_uri(&folder.replace("--", "/"));
+    }
     // A name with the extension of a file means a file that does not exist.
     if split_id(word).is_some() && is_gguf_word(word) {
         return None;

@@ -87,14 +87,18 @@ static PAIRS: [Pair; 21] = [
 /// The ends of pairs that an answer begins behind, though they are no end of reasoning.
 const BEGINS_OF_ANSWERS: [&str; 1] = ["<|channel|>final"];
 
-/// Marks before an answer, which belong to the prompt: `ChatML`, Gemma, Llama 3, gpt-oss, Phi and
-/// GLM, `DeepSeek`, Seed-OSS, Command A, Kimi K3, Solar Open, the beginnings of texts, and marks
+/// Marks before an answer, which belong to the prompt: `ChatML`, Gemma, Llama 3 and 4, Granite,
+/// Mistral, EXAONE, gpt-oss, Phi and GLM, `DeepSeek`, Seed-OSS, Command A, Kimi K3, Solar Open, the beginnings of texts, and marks
 /// around an answer.
-const HEADS: [&str; 28] = [
+const HEADS: [&str; 32] = [
     "<|im_start|>assistant",
     "<start_of_turn>model",
     "<|turn>model",
     "<|start_header_id|>assistant<|end_header_id|>",
+    "<|header_start|>assistant<|header_end|>",
+    "<|start_of_role|>assistant<|end_of_role|>",
+    "[/INST]",
+    "[|assistant|]",
     "<|start|>assistant",
     "<|message|>",
     "to=user<|message|>",
