@@ -29,12 +29,14 @@ impl ModelWork {
     ) -> Self {
         let layers = weights.matrices(None).filter(|(name, ..)| is_layer(name));
         let token = layers.map(|(_, [outputs, inputs], _)| 2 * outputs as u64 * inputs as u64);
-        let width = (decoder.heads as u64).saturating_mul(decoder.head_dim as u64);
+        // Opening the model refuses more layers than its weights have.
+        let layers = 0..decoder.layers.min(weights.shapes().count());
+        let queries = layers.map(|layer| decoder.queries(layer) as u64);
         Self {
             image: picture.operations,
             token: token.fold(0, u64::saturating_add),
-            // Queries with keys, then weights with values.
-            attention: (4 * decoder.attention_layers() as u64).saturating_mul(width),
+            // Queries with keys, then weights with values: two operations each.
+            attention: queries.fold(0, u64::saturating_add).saturating_mul(4),
         }
     }
 }
