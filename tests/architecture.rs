@@ -92,6 +92,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             ],
             &[
                 "gemma3",
+                "gemma4",
                 "lfm2_vl",
                 "llava_next",
                 "qwen2_5_vl",

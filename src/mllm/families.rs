@@ -3,8 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, gemma3, internvl, lfm2_vl, llava, llava_next, llava_onevision, qwen2_5_vl,
-    qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, gemma3, gemma4, internvl, lfm2_vl, llava, llava_next, llava_onevision,
+    qwen2_5_vl, qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -21,12 +21,14 @@ const BUILT_IN: &[&Family] = &[
     &qwen2_vl::FAMILY,
     &llava_onevision::FAMILY,
     &gemma3::FAMILY,
+    &gemma4::FAMILY,
     &lfm2_vl::FAMILY,
     &qwen3_5::FAMILY,
     &text_only::LLAMA,
     &text_only::QWEN2,
     &text_only::QWEN3,
     &text_only::GEMMA3,
+    &text_only::GEMMA4,
     &text_only::LFM2,
     &text_only::QWEN35,
 ];

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 13] = [
+const FAMILIES: [Tiny; 14] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -64,6 +64,10 @@ const FAMILIES: [Tiny; 13] = [
         architecture: "gemma3",
     },
     Tiny {
+        name: "tiny_gemma4",
+        architecture: "gemma4",
+    },
+    Tiny {
         name: "tiny_lfm2_vl",
         architecture: "lfm2-vl",
     },
@@ -86,13 +90,14 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 }
 
 /// Families without a vision tower, which the decoders of the others are checkpoints of
-/// (`src/mllm/local/text_only_tests.rs`), but for the last two.
-const TEXT_ONLY: [&str; 6] = [
+/// (`src/mllm/local/text_only_tests.rs`), but for the last three.
+const TEXT_ONLY: [&str; 7] = [
     "llama",
     "qwen2",
     "qwen3",
     "qwen3_5_text",
     "gemma3_text",
+    "gemma4_text",
     "lfm2",
 ];
 
@@ -491,6 +496,8 @@ fn the_described_models_are_all_readable() {
         ("llava-onevision-0.5b", "llava-onevision"),
         ("llava-onevision-7b", "llava-onevision"),
         ("gemma-3-4b", "gemma3"),
+        ("gemma-4-e2b", "gemma4"),
+        ("gemma-4-e4b", "gemma4"),
         ("lfm2-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-450m", "lfm2-vl"),
         ("lfm2.5-vl-1.6b", "lfm2-vl"),

@@ -9,11 +9,11 @@ use super::codes::further_codes;
 use super::layer::AgentLayer;
 use super::layered::with_layers;
 use super::model_input::ModelInput;
-use super::record::{Decision, NoPlan, PlanningCall};
+use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
-use crate::environment::GraphedScene;
+use crate::environment::{GraphedScene, LaneGraph};
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use planagent_mllm::{Deadline, image_hash, milliseconds};
@@ -154,6 +154,18 @@ impl PlanAgent {
                 .keep_or_brake(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
+
+    /// Whether a refused plan may leave the ego's lane: something blocks that lane, other lanes are
+    /// tried there, and the plan scores λ. Staying needs more than λ, too, so the better of both is
+    /// executed.
+    /// Why: docs/decisions/132-past-at-once.md.
+    fn may_leave(&self, graph: &LaneGraph, refused: Option<&Attempt>) -> bool {
+        self.settings.reflection.further_codes
+            && graph.stop_point().is_some()
+            && refused
+                .and_then(|attempt| attempt.reflection.as_ref())
+                .is_some_and(|report| report.score >= self.settings.reflection.threshold)
+    }
 }
 
 impl AgentLayer for PlanAgent {
@@ -175,7 +187,7 @@ impl AgentLayer for PlanAgent {
     }
 
     /// One planning call. A refused plan that becomes active after the last attempt begins no lane
-    /// change: its code is executed in the ego's lane.
+    /// change but out of a blocked lane: its code is executed in the ego's lane.
     /// Why: docs/decisions/102-lane-change-threshold.md.
     fn plan(
         &mut self,
@@ -222,9 +234,11 @@ impl AgentLayer for PlanAgent {
         let decision = self.decide(&attempts, active);
         let (attempts, mut plan) = attempts.into_records(decision.attempt());
         let mut aborted_lane_change = None;
-        // A refused plan may become active, but must not begin a lane change.
-        if let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
-            (&decision, self.settings.reflection.after_max_exec, &plan)
+        let executed = decision.attempt().and_then(|index| attempts.get(index));
+        // A refused plan may become active, but must not begin a lane change in a free lane.
+        if !self.may_leave(&graph, executed)
+            && let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
+                (&decision, self.settings.reflection.after_max_exec, &plan)
             && begins_lane_change(refused, seen, &self.state)
             && let Some(back) = self.state.builder.back_to_ego_lane(refused, seen)?
         {
@@ -268,5 +282,55 @@ impl AgentLayer for PlanAgent {
             return Ok(emergency_brake(scene.ego, TRAJECTORY_STEPS)?);
         }
         Ok(rollout.to_trajectory(scene.ego)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH};
+    use planagent_world::Scene;
+
+    /// Whether an agent leaves a blocked lane, and where it comes back, when no score gets its codes
+    /// accepted.
+    fn leaves(further_codes: bool, threshold: f64) -> (bool, Option<usize>) {
+        let scene = Scene::builder()
+            .lanes(3, [[-50.0, 0.0], [250.0, 0.0]])
+            .ego([0.0, -7.0], 0.0, 4.0)
+            .vehicle([21.5, -7.0], 0.0, 0.0)
+            .build()
+            .unwrap();
+        let view = scene.view();
+        let mut settings = PlanAgentSettings::default();
+        settings.reflection.threshold = threshold;
+        settings.reflection.lane_change_threshold = 1.1;
+        settings.reflection.further_codes = further_codes;
+        let code = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
+        let source = CodeSource::Written(code.to_owned());
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
+        let input = PlannerInput {
+            iteration: 0,
+            scene: scene.view(),
+        };
+        let plan = agent.plan(&input, Instant::now()).unwrap().unwrap();
+        let ActivePlan::Generated(plan) = plan else {
+            panic!("the plan of a code is active");
+        };
+        let call = agent.state.calls.pop().unwrap();
+        assert!(matches!(call.decision, Decision::Exhausted(_)));
+        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
+        let left = &graph.centerline(CenterlineName::LeftLane).unwrap().path;
+        let beside = left.centerline.project(view.ego.center().position()).s;
+        (
+            plan.lane_now(&view) == left.lane_at(beside),
+            call.aborted_lane_change,
+        )
+    }
+
+    #[test]
+    fn a_refused_plan_leaves_a_blocked_lane_where_other_lanes_are_tried_and_it_scores_lambda() {
+        assert_eq!(leaves(true, 0.75), (true, None));
+        assert_eq!(leaves(false, 0.75), (false, Some(0)));
+        assert_eq!(leaves(true, 1.1), (false, Some(0)));
     }
 }

@@ -268,22 +268,48 @@ mod tests {
         }
     }
 
+    /// The same scene with an ego that brakes at 2 m/s².
+    fn braking(scene: impl Fn() -> SceneBuilder) -> SceneBuilder {
+        let mut ego = *scene().build().unwrap().view().ego;
+        ego.acceleration.x = -2.0;
+        scene().ego_state(ego)
+    }
+
     #[test]
     fn rivals_ride_as_the_plan_does() {
-        let past = || {
-            road()
-                .ego([0.0, -3.5], 0.0, 0.0)
-                .vehicle([19.0, -3.5], 0.0, 0.0)
+        let progress = |rides| {
+            let scene = braking(|| road().ego([0.0, -3.5], 0.0, 4.0));
+            judged_beside(scene, CenterlineName::EgoLane, rides)
+                .parts
+                .progress
         };
-        let free = || road().ego([0.0, -3.5], 0.0, 2.0);
-        let progress =
-            |scene: SceneBuilder, lane, rides| judged_beside(scene, lane, rides).parts.progress;
-        let (alike, unlike) = (
-            (Ride::Comfortable, Ride::Comfortable),
-            (Ride::Comfortable, Ride::Idm),
-        );
-        assert!(progress(past(), CenterlineName::LeftLane, alike) > 0.98);
-        assert!(progress(past(), CenterlineName::LeftLane, unlike) < 0.95);
-        assert!(progress(free(), CenterlineName::EgoLane, alike) > 0.98);
+        assert!(progress((Ride::Comfortable, Ride::Comfortable)) > 0.98);
+        assert!(progress((Ride::Comfortable, Ride::Idm)) < 0.95);
+    }
+
+    #[test]
+    fn an_ego_that_brakes_leaves_a_blocked_lane_at_once() {
+        for (speed, gap) in [(3.0, 13.0), (4.0, 15.0), (5.0, 17.0)] {
+            let of = |lane, ride| {
+                let scene = braking(|| {
+                    Scene::builder()
+                        .lanes(3, [[-50.0, 0.0], [150.0, 0.0]])
+                        .ego([0.0, -7.0], 0.0, speed)
+                        .vehicle([6.5 + gap, -7.0], 0.0, 0.0)
+                });
+                judged_beside(scene, lane, (ride, ride))
+            };
+            let (own, left) = (
+                of(CenterlineName::EgoLane, Ride::Comfortable),
+                of(CenterlineName::LeftLane, Ride::Comfortable),
+            );
+            let parts = (own.parts, left.parts);
+            assert!(
+                left.score >= 0.98 && own.score < 0.98,
+                "{speed} {gap}: {parts:?}"
+            );
+            let idm = of(CenterlineName::LeftLane, Ride::Idm);
+            assert_eq!(left.states, idm.states, "{speed} {gap}");
+        }
     }
 }

@@ -56,8 +56,10 @@ pub struct IdmPlan {
     pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
-    /// How it drives.
+    /// How it drives in a lane that nothing blocks.
     ride: Ride,
+    /// Whether it leaves a lane that something blocks.
+    leaves_blocked_lane: bool,
     /// The way past what blocks the ego's lane, where the plan takes it.
     oncoming: Option<Box<OncomingLane>>,
     /// Where the ego stops in its lane before what it may pass.
@@ -163,6 +165,7 @@ impl IdmPlan {
             lead_agent,
             lead_policy: builder.lead_policy,
             ride: builder.ride,
+            leaves_blocked_lane: false,
             oncoming: None,
             stop_point: None,
             paths,
@@ -204,8 +207,12 @@ impl IdmPlan {
     }
 
     /// The same where something may block the ego's lane. A plan over the oncoming lane passes it.
-    /// A plan in the ego's lane stops where the ego can still leave the lane.
+    /// A plan in the ego's lane stops where the ego can still leave the lane. One that leaves it
+    /// rides as IDM does: out of braking, a gentle start comes too late to pass.
+    /// Why: docs/decisions/132-past-at-once.md.
     pub(super) fn at_blocked_lane(mut self, graph: &LaneGraph, follows: CenterlineName) -> Self {
+        self.leaves_blocked_lane =
+            follows != CenterlineName::EgoLane && graph.stop_point().is_some();
         (self.oncoming, self.stop_point) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
             CenterlineName::EgoLane => (None, graph.stop_point()),
@@ -225,7 +232,17 @@ impl IdmPlan {
     /// The same over the oncoming lane, past what another plan has begun to pass.
     pub(super) fn completing(mut self, lane: &OncomingLane) -> Self {
         (self.oncoming, self.stop_point) = (Some(Box::new(lane.clone())), None);
+        self.leaves_blocked_lane = true;
         self
+    }
+
+    /// How it drives here.
+    fn ride_here(&self) -> Ride {
+        if self.leaves_blocked_lane {
+            Ride::Idm
+        } else {
+            self.ride
+        }
     }
 
     /// The way past what blocks the ego's lane, where the plan takes it.
@@ -284,7 +301,7 @@ impl IdmPlan {
         let mut rollouts = Vec::new();
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
-            for version in Version::along(path, self.ride) {
+            for version in Version::along(path, self.ride_here()) {
                 rollouts.push((version, self.roll_out_along(&road, version, scene, steps)));
             }
         }
@@ -339,7 +356,7 @@ impl IdmPlan {
         let mut progress = path.project(scene.ego.rear_axle.position()).s;
         let mut speed = scene.ego.velocity.x.max(0.0);
         let mut lead = None;
-        let is_smooth = self.ride == Ride::Comfortable && !version.is_brisk;
+        let is_smooth = self.ride_here() == Ride::Comfortable && !version.is_brisk;
         let mut smoothed = is_smooth.then(|| Smoothed::from_ego(scene.ego));
         let mut rollout = Rollout {
             poses: vec![path.smooth_pose_at(progress)],

@@ -14,6 +14,11 @@ pub fn frequencies(rope: &Rope, head_width: usize) -> Vec<f32> {
                     let kept = 1.0 - yarn.divided(pair, rope.theta, head_width);
                     frequency / yarn.factor * (1.0 - kept) + frequency * kept
                 }
+                RopeScaling::Proportional { part, .. }
+                    if pair as f64 >= (part * head_width as f64 / 2.0).floor() =>
+                {
+                    0.0
+                }
                 scaling => scaled(frequency, scaling),
             }) as f32
         })
@@ -90,7 +95,9 @@ fn scaled(frequency: f64, scaling: RopeScaling) -> f64 {
     match scaling {
         // A dynamic base is that of the training up to its context.
         RopeScaling::None | RopeScaling::Dynamic { .. } | RopeScaling::Yarn(_) => frequency,
-        RopeScaling::Linear { factor } => frequency / factor,
+        RopeScaling::Linear { factor } | RopeScaling::Proportional { factor, .. } => {
+            frequency / factor
+        }
         RopeScaling::Llama3 {
             factor,
             low_freq_factor,

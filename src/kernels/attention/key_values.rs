@@ -154,6 +154,9 @@ impl KeyValues {
                 self.shape
             );
         }
+        if !rows.has_keys() {
+            candle_core::bail!("queries alone have no keys and values to write");
+        }
         match &mut self.blocks {
             Blocks::Single(blocks) => write(blocks, rows, start),
             Blocks::Half(blocks) => write(blocks, rows, start),

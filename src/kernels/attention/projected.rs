@@ -39,6 +39,8 @@ impl HeadShape {
 pub struct Projected<'a> {
     values: &'a [f32],
     shape: HeadShape,
+    /// Numbers of a token.
+    row: usize,
     rotary: Option<&'a RotaryRows>,
 }
 
@@ -51,11 +53,39 @@ impl<'a> Projected<'a> {
         rotary: Option<&'a RotaryRows>,
         read: impl FnOnce(&Projected<'_>) -> candle_core::Result<T>,
     ) -> candle_core::Result<T> {
-        let (tokens, width) = tensor.dims2()?;
-        if width != shape.row() || !shape.query_heads.is_multiple_of(shape.key_heads) {
+        if tensor.dim(1)? != shape.row() {
+            let width = tensor.dim(1)?;
             candle_core::bail!(
                 "rows of {width} numbers do not hold queries, keys and values of {shape:?}"
             );
+        }
+        Self::read_rows(tensor, shape, rotary, read)
+    }
+
+    /// As [`Self::read`], of queries alone, (tokens, query heads · head width), which attend to
+    /// keys that are cached already.
+    pub fn read_queries<T>(
+        tensor: &Tensor,
+        shape: HeadShape,
+        rotary: Option<&'a RotaryRows>,
+        read: impl FnOnce(&Projected<'_>) -> candle_core::Result<T>,
+    ) -> candle_core::Result<T> {
+        if tensor.dim(1)? != shape.query_heads * shape.width {
+            let width = tensor.dim(1)?;
+            candle_core::bail!("rows of {width} numbers do not hold queries of {shape:?}");
+        }
+        Self::read_rows(tensor, shape, rotary, read)
+    }
+
+    fn read_rows<T>(
+        tensor: &Tensor,
+        shape: HeadShape,
+        rotary: Option<&'a RotaryRows>,
+        read: impl FnOnce(&Projected<'_>) -> candle_core::Result<T>,
+    ) -> candle_core::Result<T> {
+        let (tokens, row) = tensor.dims2()?;
+        if !shape.query_heads.is_multiple_of(shape.key_heads) {
+            candle_core::bail!("{shape:?}: the heads of keys do not divide those of queries");
         }
         if rotary.is_some_and(|rotary| !rotary.fits(tokens, shape.width)) {
             candle_core::bail!("the rotary angles do not fit {tokens} tokens of {shape:?}");
@@ -64,6 +94,7 @@ impl<'a> Projected<'a> {
             read(&Projected {
                 values,
                 shape,
+                row,
                 rotary,
             })
         })
@@ -75,11 +106,16 @@ impl<'a> Projected<'a> {
 
     /// Number of tokens.
     pub fn tokens(&self) -> usize {
-        self.values.len() / self.shape.row()
+        self.values.len() / self.row
+    }
+
+    /// Whether the rows have keys and values beside their queries.
+    pub(super) fn has_keys(&self) -> bool {
+        self.row == self.shape.row()
     }
 
     pub(super) fn heads(&self, token: usize, first: usize, count: usize) -> &'a [f32] {
-        let start = token * self.shape.row() + first * self.shape.width;
+        let start = token * self.row + first * self.shape.width;
         &self.values[start..start + count * self.shape.width]
     }
 

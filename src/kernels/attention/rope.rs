@@ -55,6 +55,14 @@ pub enum RopeScaling {
     },
     /// `YaRN`: low frequencies are divided, high ones kept, and the scores of attention grow.
     Yarn(Yarn),
+    /// The first pairs are turned, by the frequencies of the whole head, and the others are not
+    /// (`proportional`).
+    Proportional {
+        /// Part of the pairs that is turned, up to 1.
+        part: f64,
+        /// Divisor of the frequencies.
+        factor: f64,
+    },
     /// Beyond the training's context the base grows with the prompt (`dynamic`).
     Dynamic {
         /// How fast the base grows.

@@ -107,6 +107,7 @@ fn logits(mut weights: Weights, folder: &str, ids: &[u32]) -> Tensor {
     let decoder: Decoder<LlamaLayer> = Decoder::take(&mut weights, &config, "model.").unwrap();
     let input = DecoderInput {
         rows: decoder.embed(ids).unwrap(),
+        tokens: ids.iter().copied().map(Some).collect(),
         positions: (0..ids.len() as u32).map(|at| [at; 3]).collect(),
         prompt_end: ids.len(),
         vision: 0..0,

@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// Largest width, layer count or context of a configuration. No model that fits into a machine
 /// exceeds it.
-const MAX_COUNT: u64 = 1 << 22;
+pub(super) const MAX_COUNT: u64 = 1 << 22;
 
 /// Keys where null and absence differ: a null window is no window, and null heads of keys are as
 /// many as those of queries; an absent key takes the default of its class.

@@ -26,6 +26,9 @@ pub(crate) enum DecoderType {
     /// `Gemma3TextConfig`: most layers have a window, and all more norms.
     #[serde(rename = "gemma3_text")]
     Gemma3,
+    /// `Gemma4TextConfig`: layers also differ in shape, and the last ones share keys and values.
+    #[serde(rename = "gemma4_text")]
+    Gemma4,
     /// `Lfm2Config`: most layers convolve the last positions in the place of attention.
     Lfm2,
     /// `Qwen3_5TextConfig`: most layers have a gated delta rule in the place of attention.
@@ -42,6 +45,7 @@ impl DecoderType {
             "Qwen2ForCausalLM" => Some(Self::Qwen2),
             "Qwen3ForCausalLM" => Some(Self::Qwen3),
             "Gemma3ForCausalLM" => Some(Self::Gemma3),
+            "Gemma4ForCausalLM" => Some(Self::Gemma4),
             "Lfm2ForCausalLM" => Some(Self::Lfm2),
             "Qwen3_5ForCausalLM" => Some(Self::Qwen35),
             _ => None,
@@ -79,6 +83,11 @@ impl DecoderType {
                 "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
                 "sliding_window": 4096, "tie_word_embeddings": true, "query_pre_attn_scalar": 256,
             }),
+            Self::Gemma4 => json!({
+                "vocab_size": 262_144, "hidden_size": 2304, "intermediate_size": 9216, "num_hidden_layers": 30,
+                "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
+                "sliding_window": 512, "tie_word_embeddings": true,
+            }),
             Self::Lfm2 => json!({
                 "vocab_size": 65_536, "hidden_size": 2560, "intermediate_size": 12_288, "num_key_value_heads": 8,
                 "max_position_embeddings": 128_000, "norm_eps": 1e-5, "tie_word_embeddings": true,
@@ -94,7 +103,7 @@ impl DecoderType {
     pub(super) fn theta(self) -> f64 {
         match self {
             Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Qwen35 => 10_000.0,
-            Self::Qwen25Vl | Self::Gemma3 | Self::Lfm2 => 1_000_000.0,
+            Self::Qwen25Vl | Self::Gemma3 | Self::Gemma4 | Self::Lfm2 => 1_000_000.0,
             Self::Qwen3Vl => 500_000.0,
         }
     }
@@ -103,9 +112,13 @@ impl DecoderType {
     /// embedding).
     pub(super) fn sections(self) -> Option<[usize; 3]> {
         match self {
-            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Gemma3 | Self::Lfm2 => {
-                None
-            }
+            Self::Llama
+            | Self::Mistral
+            | Self::Qwen2
+            | Self::Qwen3
+            | Self::Gemma3
+            | Self::Gemma4
+            | Self::Lfm2 => None,
             Self::Qwen25Vl => Some([16, 24, 24]),
             Self::Qwen3Vl => Some([24, 20, 20]),
             Self::Qwen35 => Some([11, 11, 10]),
@@ -145,8 +158,15 @@ impl DecoderType {
             ("final_logit_softcapping", Neutral::Text(&[])),
             ("use_bidirectional_attention", Neutral::Flag(false)),
         ];
+        const GEMMA4: &[(&str, Neutral)] = &[
+            ("hidden_activation", Neutral::Text(&["gelu_pytorch_tanh"])),
+            WHOLE,
+            ("enable_moe_block", Neutral::Flag(false)),
+        ];
         if self == Self::Gemma3 {
             GEMMA
+        } else if self == Self::Gemma4 {
+            GEMMA4
         } else if self == Self::Lfm2 {
             // The activation is no key of the class.
             &[WHOLE]

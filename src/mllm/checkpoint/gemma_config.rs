@@ -1,14 +1,15 @@
-//! What a Gemma 3 decoder has beyond Llama's.
+//! What a Gemma 3 or 4 decoder has beyond Llama's.
 
 use super::config::ConfigObject;
+use super::layer_shape::VariedShapes;
 use super::llama_config::LlamaConfig;
 use super::rope_config::read_local_rope;
 use crate::MllmError;
 use planagent_kernels::attention::Rope;
 
-/// What a Gemma 3 decoder has beyond Llama's: layers that see a window, with a rotary embedding of
-/// their own, a norm behind each part of a layer, and scaled embeddings and queries. Its norms
-/// multiply by 1 + weight.
+/// What a Gemma 3 or 4 decoder has beyond Llama's: layers that see a window, with a rotary embedding
+/// of their own, a norm behind each part of a layer, and scaled embeddings and queries. The norms of
+/// Gemma 3 multiply by 1 + weight.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GemmaConfig {
     /// Positions that a token of a local layer sees, its own among them.
@@ -20,6 +21,18 @@ pub(crate) struct GemmaConfig {
     /// Queries are multiplied by its root's inverse, not by that of the head's width
     /// (`query_pre_attn_scalar`).
     pub query_scalar: f64,
+    /// The layers in which the tokens of an image see one another.
+    pub image_mask: ImageMask,
+    /// How layers differ in shape; none where they are alike.
+    pub shapes: Option<VariedShapes>,
+}
+
+/// The layers in which the tokens of an image see one another, and not only those before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ImageMask {
+    All,
+    Local,
+    None,
 }
 
 /// Layers from a global one to the next, where nothing says it.
@@ -66,7 +79,57 @@ impl GemmaConfig {
             local,
             local_rope: read_local_rope(text)?,
             query_scalar: text.positive(SCALAR)?.unwrap_or(config.head_dim as f64),
+            image_mask: ImageMask::All,
+            shapes: None,
         })
+    }
+
+    /// Reads the keys of a Gemma 4, whose layers differ in shape, and whose queries are not scaled.
+    pub(super) fn read_varied(
+        text: &ConfigObject<'_>,
+        config: &LlamaConfig,
+    ) -> Result<Self, MllmError> {
+        const MASK: &str = "use_bidirectional_attention";
+        let mut text = text.clone();
+        // No keys of this class.
+        for key in [
+            "sliding_window_pattern",
+            "query_pre_attn_scalar",
+            "rope_local_base_freq",
+        ] {
+            text.remove(key);
+        }
+        let mut gemma = Self::read(&text, config)?;
+        // As transformers does, whatever the list says.
+        if let Some(last) = gemma.local.last_mut() {
+            *last = false;
+        }
+        let mask: Option<String> = text.value(MASK)?;
+        gemma.image_mask = match mask.as_deref() {
+            None => ImageMask::None,
+            Some("vision") => ImageMask::Local,
+            Some(other) => {
+                let problem = format!("'{other}' is not supported; vision and null are");
+                return Err(text.error(MASK, problem));
+            }
+        };
+        gemma.query_scalar = 1.0;
+        gemma.shapes = Some(VariedShapes::read(&text, config, &gemma.local)?);
+        Ok(gemma)
+    }
+
+    /// Whether the tokens of an image see one another in a layer.
+    pub(crate) fn sees_image(&self, layer: usize) -> bool {
+        match self.image_mask {
+            ImageMask::All => true,
+            ImageMask::Local => self.is_local(layer),
+            ImageMask::None => false,
+        }
+    }
+
+    /// Whether they do so in any layer.
+    pub(crate) fn sees_image_at_once(&self) -> bool {
+        (0..self.local.len()).any(|layer| self.sees_image(layer))
     }
 
     /// Whether a layer is local.

@@ -1,4 +1,4 @@
-//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen, Gemma 3 and LFM2.
+//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen, Gemma and LFM2.
 
 use super::config::{
     ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
@@ -7,6 +7,7 @@ use super::convolution_config::{ConvolutionConfig, feed_forward_width};
 use super::decoder_type::DecoderType;
 use super::delta_config::DeltaConfig;
 use super::gemma_config::GemmaConfig;
+use super::layer_shape::{LayerInputConfig, LayerKeys, LayerShape};
 use super::rope_config::{ReadRope, read_rope};
 use super::weights::Weights;
 use crate::MllmError;
@@ -16,7 +17,7 @@ use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
-/// of queries and keys, Gemma 3 (`Gemma3TextConfig`) what [`Self::gemma`] has, and LFM2
+/// of queries and keys, Gemma 3 and 4 (`Gemma3TextConfig`, `Gemma4TextConfig`) what [`Self::gemma`] has, and LFM2
 /// (`Lfm2Config`) and Qwen 3.5 (`Qwen3_5TextConfig`) layers without attention.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
@@ -65,6 +66,12 @@ pub struct LlamaConfig {
     /// Whether queries and keys are normalized in each head.
     #[serde(skip)]
     pub(crate) head_norms: bool,
+    /// Whether values are normalized in each head too, without a weight.
+    #[serde(skip)]
+    pub(crate) value_norms: bool,
+    /// Whether a layer multiplies its rows by a number at last.
+    #[serde(skip)]
+    pub(crate) layer_scales: bool,
     /// Whether the attention's output is multiplied by a gate that each query has beside it.
     #[serde(skip)]
     pub(crate) output_gate: bool,
@@ -78,7 +85,13 @@ pub struct LlamaConfig {
     pub window: Option<usize>,
     /// Whether the output layer may share the embedding's weights.
     pub tie_word_embeddings: bool,
-    /// What Gemma 3 has beyond the others.
+    /// Bound of logits: l becomes cap · tanh(l / cap).
+    #[serde(skip)]
+    pub(crate) softcap: Option<f64>,
+    /// Numbers of a token for each layer.
+    #[serde(skip)]
+    pub(crate) layer_inputs: Option<LayerInputConfig>,
+    /// What Gemma 3 and 4 have beyond the others.
     #[serde(skip)]
     pub(crate) gemma: Option<GemmaConfig>,
     /// The layers that convolve the last positions in the place of attention.
@@ -107,11 +120,15 @@ impl Default for LlamaConfig {
             attention_bias: false,
             output_bias: false,
             head_norms: false,
+            value_norms: false,
+            layer_scales: false,
             output_gate: false,
             norms_add_one: false,
             mlp_bias: false,
             window: None,
             tie_word_embeddings: false,
+            softcap: None,
+            layer_inputs: None,
             gemma: None,
             convolution: None,
             delta: None,
@@ -122,9 +139,9 @@ impl Default for LlamaConfig {
 /// Longest context, positions: beyond it a configuration is taken for broken.
 pub(super) const MAX_CONTEXT: usize = 1 << 20;
 /// Widest head. Published ones have up to 512 channels.
-const MAX_HEAD: usize = 1 << 12;
+pub(super) const MAX_HEAD: usize = 1 << 12;
 /// Most heads and most layers. Published decoders have up to 128 of each.
-const MAX_LAYERS: usize = 1 << 12;
+pub(super) const MAX_LAYERS: usize = 1 << 12;
 
 impl LlamaConfig {
     /// Makes a layer of one whose inputs no norm precedes. In Gemma 3 these have outliers, so that
@@ -182,6 +199,9 @@ impl LlamaConfig {
         if kind == DecoderType::Gemma3 {
             config.gemma = Some(GemmaConfig::read(&text, &config)?);
         }
+        if kind == DecoderType::Gemma4 {
+            config.read_gemma4(&text)?;
+        }
         if kind == DecoderType::Lfm2 {
             config.read_lfm2(&text)?;
         }
@@ -206,6 +226,48 @@ impl LlamaConfig {
         Ok(config)
     }
 
+    /// Reads the keys of `Gemma4TextConfig` that Llama does not have.
+    fn read_gemma4(&mut self, text: &ConfigObject<'_>) -> Result<(), MllmError> {
+        // Before anything is made for each layer.
+        check_ranges(text, &[("num_hidden_layers", self.layers, MAX_LAYERS)])?;
+        let gemma = GemmaConfig::read_varied(text, self)?;
+        if let Some(shapes) = &gemma.shapes {
+            self.rotated = shapes.global[1];
+        }
+        self.gemma = Some(gemma);
+        self.layer_inputs = LayerInputConfig::read(text, self)?;
+        self.softcap = text.positive("final_logit_softcapping")?;
+        (self.value_norms, self.layer_scales) = (true, true);
+        Ok(())
+    }
+
+    /// The shape of a layer with attention, by its number from 0.
+    pub(crate) fn shape(&self, layer: usize) -> LayerShape {
+        let gemma = self.gemma.as_ref();
+        let varied = gemma.and_then(|gemma| Some((gemma.shapes?, gemma.is_local(layer))));
+        match varied {
+            Some((shapes, is_local)) => shapes.of(self, layer, is_local),
+            None => LayerShape {
+                kv_heads: self.kv_heads,
+                head_dim: self.head_dim,
+                intermediate: self.intermediate,
+                keys: LayerKeys::Projected,
+            },
+        }
+    }
+
+    /// Numbers of the keys that a layer keeps of a position; none of a layer that keeps none.
+    pub(crate) fn kept_keys(&self, layer: usize) -> Option<usize> {
+        let shape = self.shape(layer);
+        let own_state = self.delta.as_ref().is_some_and(|delta| delta.is_in(layer))
+            || self
+                .convolution
+                .as_ref()
+                .is_some_and(|own| own.is_in(layer));
+        let shares = matches!(shape.keys, LayerKeys::Of(_));
+        (!own_state && !shares).then(|| shape.kv_heads.saturating_mul(shape.head_dim))
+    }
+
     /// Reads the keys of `Lfm2Config` that Llama does not have, or calls otherwise.
     fn read_lfm2(&mut self, text: &ConfigObject<'_>) -> Result<(), MllmError> {
         self.rms_norm_eps = text.positive("norm_eps")?.unwrap_or(self.rms_norm_eps);
@@ -219,8 +281,11 @@ impl LlamaConfig {
     }
 
     /// Layers that keep keys and values.
+    #[cfg(test)]
     pub(crate) fn attention_layers(&self) -> usize {
-        self.layers - self.own_state().layers
+        (0..self.layers)
+            .filter(|layer| self.kept_keys(*layer).is_some())
+            .count()
     }
 
     /// What layers keep that keep no keys and values.
@@ -270,6 +335,9 @@ impl LlamaConfig {
                 ("head_dim", self.head_dim, MAX_HEAD),
             ],
         )?;
+        if self.layer_inputs.is_some() {
+            check_width(text, "intermediate_size", self.intermediate, 2)?;
+        }
         check_width(text, "num_attention_heads", self.heads, self.head_dim)
     }
 
@@ -314,7 +382,10 @@ impl LlamaConfig {
         }
         // The first frequencies that are not finite would show as logits that are not, thousands of
         // products later.
-        let usable = |frequency: &f32| frequency.is_finite() && *frequency > 0.0;
+        let some_are_zero = matches!(self.rope.scaling, RopeScaling::Proportional { .. });
+        let usable = |frequency: &f32| {
+            frequency.is_finite() && (*frequency > 0.0 || some_are_zero && *frequency == 0.0)
+        };
         if !frequencies(&self.rope, *rotated).iter().all(usable) {
             let problem = format!(
                 "{} gives no usable frequencies for heads of {head_dim} channels",

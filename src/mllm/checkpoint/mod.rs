@@ -8,6 +8,7 @@ mod files;
 mod finite;
 mod forecast;
 mod gemma_config;
+mod layer_shape;
 mod layers;
 mod llama_config;
 mod load_report;
@@ -29,6 +30,9 @@ pub(crate) use convolution_config::ConvolutionConfig;
 pub(crate) use decoder_type::DecoderType;
 pub(crate) use delta_config::DeltaConfig;
 pub use files::ModelFiles;
+#[cfg(test)]
+pub(crate) use gemma_config::ImageMask;
+pub(crate) use layer_shape::{LayerInputConfig, LayerKeys, LayerShape};
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
 pub use load_report::{

@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 30] = [
+const DECODER: [(&str, &str); 37] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -42,6 +42,16 @@ const DECODER: [(&str, &str); 30] = [
     ("linear_key_head_dim", "ssm.state_size"),
     ("linear_value_head_dim", "ssm.inner_size"),
     ("linear_conv_kernel_dim", "ssm.conv_kernel"),
+    ("num_kv_shared_layers", "attention.shared_kv_layers"),
+    (
+        "hidden_size_per_layer_input",
+        "embedding_length_per_layer_input",
+    ),
+    ("final_logit_softcapping", "final_logit_softcapping"),
+    ("global_head_dim", "attention.key_length"),
+    ("num_global_key_value_heads", "attention.head_count_kv"),
+    ("per_layer_config", "attention.head_count_kv"),
+    ("rope_parameters", "rope.freq_base"),
 ];
 /// Keys of `vision_config`, and those of a tower behind `clip.vision.`.
 const TOWER: [(&str, &str); 16] = [
@@ -112,7 +122,7 @@ impl OwnKeys {
 
     /// The file that has a tensor by llama.cpp's name.
     pub(crate) fn file_of(&self, tensor: &str) -> &Path {
-        const OF_DECODER: [&str; 4] = ["token_embd", "blk.", "output", "rope_freqs"];
+        const OF_DECODER: [&str; 5] = ["token_embd", "blk.", "output", "rope_freqs", "per_layer_"];
         let is_of_decoder = OF_DECODER.iter().any(|begin| tensor.starts_with(begin));
         match &self.tower {
             Some(tower) if !is_of_decoder => tower,

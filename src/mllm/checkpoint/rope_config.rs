@@ -6,6 +6,7 @@ use super::neutral::Neutral;
 use crate::MllmError;
 use planagent_kernels::attention::{Rope, RopeScaling, RotarySections, Yarn};
 use serde::Deserialize;
+use serde_json::json;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -18,6 +19,8 @@ enum RopeType {
     Dynamic,
     /// The default with sections.
     Mrope,
+    /// The first pairs are turned by the frequencies of the whole head.
+    Proportional,
 }
 
 /// A rotary embedding, and the positions that it is meant for.
@@ -37,6 +40,9 @@ pub(super) fn read_rope(
     kind: DecoderType,
     context: usize,
 ) -> Result<ReadRope, MllmError> {
+    if kind == DecoderType::Gemma4 {
+        return read_global_rope(text, context);
+    }
     let by_layer = (kind == DecoderType::Gemma3)
         .then(|| layer_rope(text, "full_attention"))
         .transpose()?
@@ -73,6 +79,9 @@ pub(super) fn read_rope(
         RopeType::Linear => RopeScaling::Linear {
             factor: required("factor")?,
         },
+        RopeType::Proportional => {
+            return Err(section.error(rope_type, "'proportional' is not supported here"));
+        }
         RopeType::Llama3 => RopeScaling::Llama3 {
             factor: required("factor")?,
             low_freq_factor: required("low_freq_factor")?,
@@ -104,6 +113,55 @@ pub(super) fn read_rope(
         part,
     })
 }
+
+/// The rotary embedding of the global layers of a Gemma 4.
+fn read_global_rope(text: &ConfigObject<'_>, context: usize) -> Result<ReadRope, MllmError> {
+    const PART: &str = "partial_rotary_factor";
+    let section = layer_rope(text, "full_attention")?;
+    // Without any parameters, those of the class.
+    let class = json!({"rope_type": "proportional", PART: 0.25, "rope_theta": 1e6});
+    let section = match section {
+        Some(section) => section,
+        None => text
+            .child_or_empty("rope_parameters")?
+            .child_or_empty("full_attention")?
+            .with_defaults(class),
+    };
+    let scaling = match section.value("rope_type")?.unwrap_or(RopeType::Default) {
+        RopeType::Default => {
+            section.only_neutral(&[(PART, Neutral::Number(1.0))])?;
+            RopeScaling::None
+        }
+        RopeType::Proportional => {
+            let part = section.positive(PART)?.unwrap_or(1.0);
+            if part > 1.0 {
+                let problem = format!("expected a number of at most 1, found {part}");
+                return Err(section.error(PART, problem));
+            }
+            RopeScaling::Proportional {
+                part,
+                factor: section.positive("factor")?.unwrap_or(1.0),
+            }
+        }
+        _ => {
+            let problem = "is not supported in these layers; default and proportional are";
+            return Err(section.error("rope_type", problem));
+        }
+    };
+    let rope = Rope {
+        theta: section.positive("rope_theta")?.unwrap_or(GEMMA4_THETA),
+        scaling,
+        sections: None,
+    };
+    Ok(ReadRope {
+        rope,
+        context,
+        part: 1.0,
+    })
+}
+
+/// Base where a section of Gemma 4 has none (`default_theta` of transformers).
+const GEMMA4_THETA: f64 = 10_000.0;
 
 /// The part of a head that is rotated: that of the section, beside it, or of the class.
 fn rotated_part(
@@ -232,7 +290,10 @@ fn lengthened(scaling: RopeScaling, context: usize) -> usize {
             factor,
             original_context,
         } => factor * original_context,
-        RopeScaling::None | RopeScaling::Linear { .. } | RopeScaling::Llama3 { .. } => 0.0,
+        RopeScaling::None
+        | RopeScaling::Linear { .. }
+        | RopeScaling::Llama3 { .. }
+        | RopeScaling::Proportional { .. } => 0.0,
     };
     // A cast of a float keeps to the range of the target.
     context.max((meant as usize).min(super::llama_config::MAX_CONTEXT))

@@ -376,6 +376,16 @@ impl Weights {
         }
     }
 
+    /// Takes a single number out, which files have without a side, or with a side of 1.
+    pub(crate) fn take_bound(&mut self, name: &str) -> Result<f32, MllmError> {
+        #[cfg(test)]
+        if matches!(self.access, TensorAccess::Random(_)) {
+            return Ok(if name.ends_with("min") { -4.0 } else { 4.0 });
+        }
+        let bound = self.take_of_any_rank(name, &[1])?;
+        Ok(bound.reshape(())?.to_scalar()?)
+    }
+
     /// Takes a tensor of shape [outputs, inputs] out as a matrix, in the format of the plan.
     pub(crate) fn take_matrix(
         &mut self,
@@ -511,7 +521,10 @@ impl Weights {
     /// The numbers of a tensor, each checked.
     fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
         let values = stored.place.format.widen(self.bytes(stored)?)?;
-        match values.iter().position(|value| !value.is_finite()) {
+        // What bounds nothing is infinite.
+        let is_bound = BOUNDS.iter().any(|end| stored.name.ends_with(end));
+        let is_wrong = |value: &f32| !value.is_finite() && (!is_bound || value.is_nan());
+        match values.iter().position(is_wrong) {
             None => Ok(values),
             Some(element) => Err(self.not_finite(stored, element, values[element])),
         }
@@ -539,6 +552,9 @@ impl Weights {
         }
     }
 }
+
+/// Ends of the names of numbers that clamp what goes into a layer and comes out.
+const BOUNDS: [&str; 4] = [".input_min", ".input_max", ".output_min", ".output_max"];
 
 /// Whether a tensor is the weight of a norm that multiplies by 1 more, in decoders that have such
 /// norms. Those of a tower, and of what a delta rule gives, do not.

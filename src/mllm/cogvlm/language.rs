@@ -57,7 +57,12 @@ impl Expert {
                 config.hidden,
                 false,
             )?,
-            mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp.{kind}_mlp"), config)?,
+            mlp: SwiGlu::take_mlp(
+                weights,
+                &format!("{name}.mlp.{kind}_mlp"),
+                config,
+                config.intermediate,
+            )?,
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::cache::{DecoderCache, LayerState};
 use super::layer::Pass;
-use crate::checkpoint::LlamaConfig;
+use crate::checkpoint::{LayerKeys, LlamaConfig};
 use candle_core::Tensor;
 use planagent_kernels::attention::{
     AttentionMask, HeadShape, Precision, Projected, attend, exact_tokens,
@@ -17,17 +17,31 @@ pub(crate) struct CausalAttention {
     local: bool,
     /// Whether the tokens of an image see one another.
     image_at_once: bool,
+    /// The earlier layer whose keys and values it attends to; none for its own.
+    keys_of: Option<usize>,
 }
 
 impl CausalAttention {
     /// That of a layer, by its number from 0.
     pub(crate) fn new(config: &LlamaConfig, layer: usize) -> Self {
         let local = config.gemma.as_ref().filter(|gemma| gemma.is_local(layer));
+        let shape = config.shape(layer);
         Self {
-            shape: config.into(),
+            shape: HeadShape {
+                key_heads: shape.kv_heads,
+                width: shape.head_dim,
+                ..config.into()
+            },
             window: local.map_or(config.window, |gemma| Some(gemma.window)),
             local: local.is_some(),
-            image_at_once: config.gemma.is_some(),
+            image_at_once: config
+                .gemma
+                .as_ref()
+                .is_some_and(|gemma| gemma.sees_image(layer)),
+            keys_of: match shape.keys {
+                LayerKeys::Of(layer) => Some(layer),
+                LayerKeys::Projected | LayerKeys::AsValues => None,
+            },
         }
     }
 
@@ -43,12 +57,15 @@ impl CausalAttention {
 
     /// Its keys and values of a sequence that is empty.
     pub(crate) fn new_state(&self, precision: Precision) -> LayerState {
-        LayerState::key_values(self.shape, precision)
+        match self.keys_of {
+            Some(_) => LayerState::nothing(),
+            None => LayerState::key_values(self.shape, precision),
+        }
     }
 
     /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and
-    /// values, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head
-    /// width).
+    /// values, (tokens, (heads + 2 · key heads) · head width), or their queries alone in a layer
+    /// that attends to the keys of an earlier one; the result is (tokens, heads · head width).
     pub(crate) fn forward(
         &self,
         qkv: &Tensor,
@@ -66,9 +83,15 @@ impl CausalAttention {
         } else {
             AttentionMask::Causal { start, window }
         };
-        Projected::read(qkv, self.shape, Some(pass.rotary(self.local)), |rows| {
-            attend(rows, cache.write(pass.layer, rows)?, mask)
-        })
+        let rotary = Some(pass.rotary(self.local));
+        match self.keys_of {
+            Some(layer) => Projected::read_queries(qkv, self.shape, rotary, |rows| {
+                attend(rows, cache.keys(layer)?, mask)
+            }),
+            None => Projected::read(qkv, self.shape, rotary, |rows| {
+                attend(rows, cache.write(pass.layer, rows)?, mask)
+            }),
+        }
     }
 }
 

@@ -23,12 +23,19 @@ pub(crate) struct LayerState(Kind);
 enum Kind {
     KeyValues(KeyValues),
     Recurrent(Recurrent),
+    /// Nothing: the layer reads what an earlier one keeps.
+    Nothing,
 }
 
 impl LayerState {
     /// Keys and values of each position.
     pub(crate) fn key_values(shape: HeadShape, precision: Precision) -> Self {
         Self(Kind::KeyValues(KeyValues::new(shape, precision)))
+    }
+
+    /// Nothing, of a layer that reads the keys and values of an earlier one.
+    pub(crate) fn nothing() -> Self {
+        Self(Kind::Nothing)
     }
 
     /// A state that each position changes.
@@ -180,6 +187,14 @@ impl DecoderCache {
         };
         held.write(rows, self.len)?;
         Ok(held)
+    }
+
+    /// The keys and values of a layer, with those that it has written in the pass that runs.
+    pub(crate) fn keys(&self, layer: usize) -> Result<&KeyValues> {
+        match self.layers.get(layer) {
+            Some(LayerState(Kind::KeyValues(held))) => Ok(held),
+            _ => candle_core::bail!("the cache has no keys of layer {layer}"),
+        }
     }
 
     /// Runs rows (positions, numbers) that follow the last position through the state of a layer.

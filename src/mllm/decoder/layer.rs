@@ -44,6 +44,9 @@ pub(crate) struct Pass {
     pub local_rotary: Option<RotaryRows>,
     /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
+    /// Numbers of each token for each layer, (tokens, layers · width); none where layers have no
+    /// input of their own.
+    pub layer_inputs: Option<Tensor>,
 }
 
 impl Pass {
@@ -90,15 +93,17 @@ impl SwiGlu {
     }
 
     /// Takes the weights of a decoder layer, which have the same names in all families.
+    /// `intermediate` is the width between the projections.
     pub(crate) fn take_mlp(
         weights: &mut Weights,
         name: &str,
         config: &LlamaConfig,
+        intermediate: usize,
     ) -> Result<Self, MllmError> {
         let shape = SwiGluShape {
             names: ["gate_proj", "up_proj", "down_proj"],
             hidden: config.hidden,
-            intermediate: config.intermediate,
+            intermediate,
             bias: config.mlp_bias,
         };
         let act = config
@@ -149,10 +154,8 @@ pub(super) fn scaled_norm(
     config: &LlamaConfig,
     scale: f32,
 ) -> Result<RmsNorm, MllmError> {
-    if !config.norms_add_one {
-        return weights.take_rms_norm(name, width, config.rms_norm_eps);
-    }
-    let offset = if weights.norms_have_one() { 0.0 } else { 1.0 };
+    let adds_one = config.norms_add_one && !weights.norms_have_one();
+    let offset = if adds_one { 1.0 } else { 0.0 };
     let stored: Vec<f32> = weights
         .take(&format!("{name}.weight"), &[width])?
         .to_vec1()?;

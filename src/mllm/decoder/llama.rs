@@ -1,7 +1,8 @@
-//! The layer of Llama, Mistral, Qwen 2, 3 and 3.5, Gemma 3 and LFM2.
+//! The layer of Llama, Mistral, Qwen 2, 3 and 3.5, Gemma 3 and 4 and LFM2.
 
 use super::cache::{DecoderCache, LayerState};
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
+use super::layer_input::LayerInput;
 use super::mixer::{self, Mixer};
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
@@ -10,7 +11,7 @@ use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::Precision;
 
 /// A Llama layer: a part that mixes positions, and a feed-forward network, each added to the rows.
-/// Gemma 3 also normalizes what they add.
+/// Gemma 3 also normalizes what they add, and Gemma 4 adds a part that reads the token once more.
 #[derive(Debug)]
 pub(crate) struct LlamaLayer {
     input_norm: RmsNorm,
@@ -19,6 +20,10 @@ pub(crate) struct LlamaLayer {
     mlp: SwiGlu,
     /// Of the outputs of mixer and feed-forward network.
     output_norms: Option<[RmsNorm; 2]>,
+    /// What is added of an input of its own.
+    input: Option<LayerInput>,
+    /// Factor of its result.
+    scale: Option<f64>,
 }
 
 impl DecoderLayer for LlamaLayer {
@@ -47,8 +52,19 @@ impl DecoderLayer for LlamaLayer {
             input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
             mixer: mixer::take(weights, config, layer, name)?,
             post_norm: rms_norm(weights, &format!("{name}.{before_mlp}"), config)?,
-            mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp"), config)?,
+            mlp: SwiGlu::take_mlp(
+                weights,
+                &format!("{name}.mlp"),
+                config,
+                config.shape(layer).intermediate,
+            )?,
             output_norms,
+            input: LayerInput::take(weights, config, layer, name)?,
+            scale: if config.layer_scales {
+                layer_scale(weights, name)?
+            } else {
+                None
+            },
         })
     }
 
@@ -74,6 +90,25 @@ impl DecoderLayer for LlamaLayer {
         };
         let x = (x + of_mixer.forward(&out.forward(&mixed)?)?)?;
         let added = self.mlp.forward(&self.post_norm.forward(&x)?)?;
-        &x + of_mlp.forward(&added)?
+        let mut x = (&x + of_mlp.forward(&added)?)?;
+        if let Some(input) = &self.input {
+            x = input.forward_onto(&x, pass)?;
+        }
+        match self.scale {
+            Some(scale) => x * scale,
+            None => Ok(x),
+        }
     }
+}
+
+/// The factor of the result of the layer called `name`; none where the files have none, as in
+/// transformers and llama.cpp.
+fn layer_scale(weights: &mut Weights, name: &str) -> Result<Option<f64>, MllmError> {
+    let name = format!("{name}.layer_scalar.weight");
+    if weights.lacks(&name) {
+        weights.note(format!("the files have no {name}: 1 is taken"));
+        return Ok(None);
+    }
+    let scale = weights.take(&name, &[1])?.to_vec1::<f32>()?;
+    Ok(scale.first().map(|scale| f64::from(*scale)))
 }

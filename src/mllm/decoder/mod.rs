@@ -1,7 +1,7 @@
 //! Llama-style decoders: embedding, layers with what they keep of the positions before, RMS norm,
 //! output layer.
 //!
-//! [`LlamaLayer`] is the layer of Llama, Mistral, Qwen and Gemma. A family with another layer implements
+//! [`LlamaLayer`] is the layer of Llama, Mistral, Qwen, Gemma and LFM2. A family with another layer implements
 //! [`DecoderLayer`]. What it keeps is a [`LayerState`]: keys and values, or a state that each
 //! position changes.
 
@@ -12,6 +12,7 @@ mod cache_tests;
 mod delta_net;
 mod head_norms;
 mod layer;
+mod layer_input;
 mod llama;
 mod mixer;
 mod output_gate;
@@ -24,6 +25,7 @@ pub(crate) use attention::CausalAttention;
 pub use cache::DecoderCache;
 pub(crate) use cache::{LayerState, MAX_ROWS, MAX_STATES};
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
+use layer_input::LayerInputs;
 pub(crate) use llama::LlamaLayer;
 pub use planagent_kernels::attention::Position;
 
@@ -48,6 +50,9 @@ pub(crate) struct Decoder<L> {
     local_rotary: Option<RotaryEmbedding>,
     /// Input rows of text are multiplied by it.
     embedding_scale: Option<f64>,
+    layer_inputs: Option<LayerInputs>,
+    /// Bound of logits.
+    softcap: Option<f64>,
     precision: Precision,
 }
 
@@ -56,6 +61,8 @@ pub(crate) struct Decoder<L> {
 pub struct DecoderInput {
     /// Input rows, (tokens, hidden).
     pub rows: Tensor,
+    /// The token of each row, for layers that read it once more; none for a row of an image.
+    pub tokens: Vec<Option<u32>>,
     /// Position of each row for the rotary embedding.
     pub positions: Vec<Position>,
     /// The position behind the prompt that the rows belong to. A rotary embedding whose base grows
@@ -158,9 +165,11 @@ impl<L: DecoderLayer> Decoder<L> {
             head: Linear::from_matrix(head, None),
             rotary,
             local_rotary: config.gemma.as_ref().map(|gemma| {
-                RotaryEmbedding::new(&gemma.local_rope, config.rotated, config.context)
+                RotaryEmbedding::new(&gemma.local_rope, config.head_dim, config.context)
             }),
             embedding_scale: config.gemma.as_ref().map(|_| (config.hidden as f64).sqrt()),
+            layer_inputs: LayerInputs::take(weights, config, prefix)?,
+            softcap: config.softcap,
             precision,
         })
     }
@@ -217,7 +226,11 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
             }
             Logits::All => x,
         };
-        Ok(Some(self.head.forward(&self.norm.forward(&x)?)?))
+        let logits = self.head.forward(&self.norm.forward(&x)?)?;
+        Ok(Some(match self.softcap {
+            Some(cap) => ((logits / cap)?.tanh()? * cap)?,
+            None => logits,
+        }))
     }
 }
 
@@ -237,6 +250,11 @@ impl<L: DecoderLayer> Decoder<L> {
                 .map(|rotary| rotary.rows(&input.positions, input.prompt_end))
                 .transpose()?,
             vision: input.vision.clone(),
+            layer_inputs: self
+                .layer_inputs
+                .as_ref()
+                .map(|inputs| inputs.forward(&input.rows, &input.tokens))
+                .transpose()?,
         };
         let mut x = input.rows.clone();
         for (index, layer) in self.layers.iter().enumerate() {

@@ -7,14 +7,15 @@ use super::layer::Pass;
 use super::mixer::Mixer;
 use super::output_gate::OutputGate;
 use crate::MllmError;
-use crate::checkpoint::{LlamaConfig, Weights};
+use crate::checkpoint::{LayerKeys, LlamaConfig, Weights};
 use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::attention::Precision;
 use planagent_kernels::pointwise::sigmoid_gated;
 
 /// Causal attention with its projections. Those of queries, keys and values are one matrix. Qwen 3
-/// normalizes the queries and keys of each head, and Qwen 3.5 gates what the heads give.
+/// normalizes the queries and keys of each head, and Qwen 3.5 gates what the heads give. In Gemma 4,
+/// some layers have no projection to values, or none to keys either.
 #[derive(Debug)]
 pub(super) struct SelfAttention {
     qkv: Linear,
@@ -33,17 +34,28 @@ impl SelfAttention {
         layer: usize,
         name: &str,
     ) -> Result<Self, MllmError> {
-        let queries = config.heads * config.head_dim;
-        let keys = config.kv_heads * config.head_dim;
+        let shape = config.shape(layer);
+        let queries = config.heads * shape.head_dim;
+        let keys = shape.kv_heads * shape.head_dim;
         let gate = config.output_gate.then(|| OutputGate::new(config));
         let rows = queries + gate.as_ref().map_or(0, OutputGate::width);
-        let parts = [("q_proj", rows), ("k_proj", keys), ("v_proj", keys)]
-            .map(|(part, width)| (format!("{name}.self_attn.{part}"), width));
+        // A layer that lacks projections lacks the last ones.
+        let all = [("q_proj", rows), ("k_proj", keys), ("v_proj", keys)];
+        let projected = match shape.keys {
+            LayerKeys::Projected => 3,
+            LayerKeys::AsValues => 2,
+            LayerKeys::Of(_) => 1,
+        };
+        let parts: Vec<(String, usize)> = all
+            .into_iter()
+            .take(projected)
+            .map(|(part, width)| (format!("{name}.self_attn.{part}"), width))
+            .collect();
         Ok(Self {
             qkv: weights.take_fused(&parts, config.hidden, config.attention_bias)?,
             gate,
             head_norms: if config.head_norms {
-                Some(HeadNorms::take(weights, config, name)?)
+                Some(HeadNorms::take(weights, config, shape, name)?)
             } else {
                 None
             },

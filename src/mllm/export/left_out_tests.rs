@@ -10,16 +10,17 @@ use planagent_kernels::matrix::WeightFormat;
 use std::path::{Path, PathBuf};
 
 /// Fixtures with a pair that llama.cpp's writer made.
-const PAIRS: [&str; 6] = [
+const PAIRS: [&str; 7] = [
     "tiny_internvl3",
     "tiny_qwen2_vl",
     "tiny_qwen2_5_vl",
     "tiny_qwen3_vl",
     "tiny_gemma3",
+    "tiny_gemma4",
     "tiny_smolvlm",
 ];
 /// Keys behind their prefix that say nothing about the result, or what the tensors say too.
-const NEUTRAL: [&str; 9] = [
+const NEUTRAL: [&str; 11] = [
     "has_vision_encoder",
     "has_text_encoder",
     "has_llava_projector",
@@ -28,6 +29,8 @@ const NEUTRAL: [&str; 9] = [
     "vocab_size",
     "rope.dimension_count",
     "attention.value_length",
+    "attention.value_length_swa",
+    "rope.dimension_count_swa",
     "n_deepstack_layers",
 ];
 /// Keys whose default is the meaning of a file without them in llama.cpp: all dimensions, the only
@@ -136,6 +139,8 @@ fn what_llama_cpp_requires_is_required_and_its_defaults_are_taken() {
         ("tiny_internvl3", false, "qwen2.attention.head_count_kv"),
         ("tiny_qwen2_vl", false, "qwen2vl.rope.dimension_sections"),
         ("tiny_gemma3", false, "gemma3.attention.sliding_window"),
+        ("tiny_gemma4", false, "gemma4.attention.sliding_window"),
+        ("tiny_gemma4", false, "gemma4.rope.freq_base_swa"),
         ("tiny_internvl3", true, "clip.vision.image_mean"),
         ("tiny_llava", true, "clip.vision.image_std"),
         (
@@ -162,6 +167,7 @@ fn what_llama_cpp_requires_is_required_and_its_defaults_are_taken() {
         ("tiny_internvl3", false, "qwen2.rope.freq_base", "10000"),
         ("tiny_gemma3", false, "gemma3.rope.freq_base", "10000"),
         ("tiny_gemma3", false, "gemma3.rope.freq_base_swa", "10000"),
+        ("tiny_gemma4", false, "gemma4.final_logit_softcapping", "30"),
         ("tiny_gemma3", false, "gemma3.rope.scaling.factor", "1"),
         ("tiny_qwen3_vl", true, "clip.vision.spatial_merge_size", "2"),
         (

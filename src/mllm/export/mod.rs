@@ -280,6 +280,10 @@ fn plan_tensors(
             if is_kernel(name) && name != renamed {
                 shape.retain(|side| *side != 1);
             }
+            if shape.is_empty() {
+                // The format has no numbers without a side.
+                shape.push(1);
+            }
             layout.tensors.push(PlannedTensor {
                 name: renamed,
                 format,

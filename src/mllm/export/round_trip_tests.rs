@@ -126,6 +126,7 @@ fn todays_families_from_gguf_compute_what_transformers_computes() {
         ("tiny_qwen2_vl", "."),
         ("tiny_llava_onevision", "."),
         ("tiny_gemma3", "."),
+        ("tiny_gemma4", "."),
         ("tiny_qwen3_5", "."),
     ] {
         let prompts = Prompts::from_fixture(name);

@@ -2,6 +2,7 @@
 
 use super::Entries;
 use super::gemma;
+use super::gemma4;
 use super::header::Header;
 use super::lfm2;
 use super::qwen35;
@@ -14,13 +15,14 @@ use serde_json::{Value, json};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 8] = [
+const ARCHITECTURES: [(&str, &str); 9] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
     ("qwen3vl", "qwen3_vl_text"),
     (gemma::ARCHITECTURE, "gemma3_text"),
+    (gemma4::ARCHITECTURE, "gemma4_text"),
     (lfm2::ARCHITECTURE, "lfm2"),
     (qwen35::ARCHITECTURE, "qwen3_5_text"),
 ];
@@ -45,6 +47,7 @@ pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
         "qwen3_vl" => "qwen3_vl_text",
         "qwen3_5" => "qwen3_5_text",
         "gemma3" => "gemma3_text",
+        "gemma4" => "gemma4_text",
         other => other,
     };
     let is_of = |(_, known): &(&str, &str)| *known == model_type;
@@ -83,10 +86,17 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     }
     let hidden = header.required_count(&key("embedding_length"))?;
     let heads = header.required_count(&key("attention.head_count"))?;
-    let key_heads = if architecture == lfm2::ARCHITECTURE {
-        lfm2::key_heads(header)?
-    } else {
-        header.count(&key("attention.head_count_kv"))?
+    let (key_heads, intermediate) = match architecture {
+        lfm2::ARCHITECTURE => (lfm2::key_heads(header)?, None),
+        gemma4::ARCHITECTURE => {
+            let [intermediate, key_heads] = gemma4::first_layer(header)?;
+            (Some(key_heads), Some(intermediate))
+        }
+        _ => (header.count(&key("attention.head_count_kv"))?, None),
+    };
+    let intermediate = match intermediate {
+        Some(intermediate) => intermediate,
+        None => header.required_count(&key("feed_forward_length"))?,
     };
     let head_dim = header
         .count(&key("attention.key_length"))?
@@ -121,7 +131,7 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
         "model_type": if window.is_some() && model_type == "llama" { "mistral" } else { model_type },
         "vocab_size": vocabulary,
         "hidden_size": hidden,
-        "intermediate_size": header.required_count(&key("feed_forward_length"))?,
+        "intermediate_size": intermediate,
         "num_hidden_layers": header.required_count(&key("block_count"))?,
         "num_attention_heads": heads,
         "num_key_value_heads": kv_heads,
@@ -164,6 +174,9 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     }
     if architecture == gemma::ARCHITECTURE {
         gemma::add_keys(header, &mut config, notes)?;
+    }
+    if architecture == gemma4::ARCHITECTURE {
+        gemma4::add_keys(header, &mut config, notes)?;
     }
     if architecture == lfm2::ARCHITECTURE {
         lfm2::add_keys(header, &mut config)?;
@@ -276,6 +289,7 @@ pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Result<Entri
         // A tensor has the factors of Llama 3. A dynamic base is that of the training up to its
         // context, and llama.cpp has no other for it.
         RopeScaling::None | RopeScaling::Llama3 { .. } | RopeScaling::Dynamic { .. } => {}
+        RopeScaling::Proportional { .. } => return Err("heads of which some pairs are not turned"),
         RopeScaling::Yarn(yarn) if !yarn.truncate => {
             return Err("borders of YaRN between two pairs");
         }

@@ -60,6 +60,46 @@ const GEMMA_PARTS: [Pair; 13] = [
     ("post_ffw_norm", "post_feedforward_layernorm"),
 ];
 
+/// The layers of a Gemma 4: those of Gemma 3, and what reads the token once more.
+pub(crate) const GEMMA4_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &GEMMA4_PARTS);
+
+const GEMMA4_PARTS: [Pair; 17] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("post_attention_norm", "post_attention_layernorm"),
+    ("ffn_norm", "pre_feedforward_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+    ("post_ffw_norm", "post_feedforward_layernorm"),
+    ("inp_gate", "per_layer_input_gate"),
+    ("proj", "per_layer_projection"),
+    ("post_norm", "post_per_layer_input_norm"),
+    ("layer_output_scale", "layer_scalar"),
+];
+
+/// The decoder's tensors of a Gemma 4 for the inputs of layers.
+pub(crate) const GEMMA4_SINGLE: [Pair; 3] = [
+    (
+        "per_layer_token_embd.weight",
+        "language_model.embed_tokens_per_layer.weight",
+    ),
+    (
+        "per_layer_model_proj.weight",
+        "language_model.per_layer_model_projection.weight",
+    ),
+    (
+        "per_layer_proj_norm.weight",
+        "language_model.per_layer_projection_norm.weight",
+    ),
+];
+
 /// The final norm of an LFM2.
 pub(crate) const LFM2_NORM: Pair = ("token_embd_norm.weight", "language_model.norm.weight");
 
@@ -163,13 +203,23 @@ impl Names {
     }
 }
 
+/// What a layer's tensor may be: numbers, or the bounds of what goes into a matrix and comes out.
+const KINDS: [&str; 6] = [
+    "weight",
+    "bias",
+    "input_min",
+    "input_max",
+    "output_min",
+    "output_max",
+];
+
 /// Splits `3.attn_q.weight` into its three parts.
 fn layer(rest: &str) -> Option<(&str, &str, &str)> {
     let (number, rest) = rest.split_once('.')?;
     let (part, kind) = rest.rsplit_once('.')?;
     let digits =
         !number.is_empty() && number.len() < 8 && number.bytes().all(|byte| byte.is_ascii_digit());
-    (digits && ["weight", "bias"].contains(&kind)).then_some((number, part, kind))
+    (digits && KINDS.contains(&kind)).then_some((number, part, kind))
 }
 
 /// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's

@@ -2,14 +2,15 @@
 //!
 //! SentencePiece: GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose
 //! joint piece has the highest score are joined first. A byte-pair model with its merges in the
-//! order of the scores does the same. Byte-level tokenizers are in `byte_level`.
+//! order of the scores does the same. Gemma 4's files name the merges themselves
+//! (`tokenizer.ggml.model = gemma4`). Byte-level tokenizers are in `byte_level`.
 
 use super::header::Header;
 use super::{TOKENIZER, byte_level};
 use crate::MllmError;
 use crate::checkpoint::read_json;
 use serde_json::{Value as Json, json};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
 
 /// Kinds of pieces (`llama_token_type`).
@@ -37,7 +38,13 @@ const MODEL: &str = "tokenizer.ggml.model";
 const MAX_PIECE: usize = 1024;
 
 /// Special tokens that end a turn of a chat.
-const TURN_ENDS: [&str; 4] = ["<|im_end|>", "<|eot_id|>", "<end_of_turn>", "<|end|>"];
+const TURN_ENDS: [&str; 5] = [
+    "<|im_end|>",
+    "<|eot_id|>",
+    "<end_of_turn>",
+    "<turn|>",
+    "<|end|>",
+];
 
 /// A tokenizer as Hugging Face's files.
 pub(crate) struct TokenizerFiles {
@@ -88,15 +95,16 @@ pub(crate) fn added_token(id: u64, token: &str, special: bool) -> Json {
 
 /// Reads the tokenizer of a model whose embedding has `vocabulary` rows.
 pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
-    match header.text(MODEL)? {
-        Some("llama") => {}
+    let is_listed = match header.text(MODEL)? {
+        Some("llama") => false,
+        Some("gemma4") => true,
         Some("gpt2") => return byte_level::read(header, vocabulary),
         Some(other) => {
             return Err(header.error(
                 MODEL,
                 format!(
-                    "'{other}' is not supported in GGUF (llama, SentencePiece, and gpt2, byte-level, are); put the model's \
-                     tokenizer.json beside it"
+                    "'{other}' is not supported in GGUF (llama, SentencePiece, gemma4, the same with its merges, and gpt2, \
+                     byte-level, are); put the model's tokenizer.json beside it"
                 ),
             ));
         }
@@ -106,17 +114,13 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
                 "the file has no tokenizer; put the model's tokenizer.json beside it",
             ));
         }
-    }
+    };
     let pieces = Pieces::read(header, vocabulary)?;
-    let scores: Vec<f64> = header
-        .list("tokenizer.ggml.scores", "a list of numbers")?
-        .unwrap_or_default();
-    if scores.len() != pieces.tokens.len() {
-        return Err(header.error(
-            "tokenizer.ggml.scores",
-            format!("expected {} scores", pieces.tokens.len()),
-        ));
-    }
+    let merges = if is_listed {
+        json!(pieces.listed_merges(header)?)
+    } else {
+        json!(pieces.merges(&scores(header, pieces.tokens.len())?))
+    };
     let Special {
         bos,
         unknown,
@@ -130,14 +134,26 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     } else {
         None
     };
-    let prefix = flag("add_space_prefix")?.unwrap_or(true);
+    let prefix = flag("add_space_prefix")?.unwrap_or(!is_listed);
     let unknown = unknown.map(|(_, token)| token);
-    let tokenizer = pieces.to_json(&scores, bos, unknown, prefix);
+    let tokenizer = pieces.to_json(&merges, bos, unknown, prefix);
     Ok(TokenizerFiles {
         tokenizer,
         config,
         ends,
     })
+}
+
+/// The scores of so many pieces.
+fn scores(header: &Header, pieces: usize) -> Result<Vec<f64>, MllmError> {
+    const SCORES: &str = "tokenizer.ggml.scores";
+    let scores: Vec<f64> = header
+        .list(SCORES, "a list of numbers")?
+        .unwrap_or_default();
+    if scores.len() == pieces {
+        return Ok(scores);
+    }
+    Err(header.error(SCORES, format!("expected {pieces} scores")))
 }
 
 /// A note where a decoder's file leaves its tokenizer open, and no file beside it decides.
@@ -342,6 +358,29 @@ impl<'a> Pieces<'a> {
         merges.into_iter().map(|(_, pair)| pair).collect()
     }
 
+    /// The merges that a file names, in its order.
+    fn listed_merges(&self, header: &Header) -> Result<Vec<[String; 2]>, MllmError> {
+        const MERGES: &str = "tokenizer.ggml.merges";
+        let known: HashSet<&str> = self.tokens.iter().copied().collect();
+        let stored: Vec<String> = header
+            .list(MERGES, "a list of texts")?
+            .ok_or_else(|| header.missing(MERGES))?;
+        let pair = |merge: &String| {
+            let (left, right) = merge.split_once(' ')?;
+            let is_token = |part: &str| known.contains(part);
+            let makes_token = is_token(left) && is_token(right);
+            (makes_token && is_token(&format!("{left}{right}")))
+                .then(|| [left.to_owned(), right.to_owned()])
+        };
+        let named = |merge: &String| {
+            pair(merge).ok_or_else(|| {
+                let problem = format!("'{}' joins no two tokens to a third", merge.escape_debug());
+                header.error(MERGES, problem)
+            })
+        };
+        stored.iter().map(named).collect()
+    }
+
     /// The tokens that are matched before a text is split.
     pub(super) fn added(&self) -> Vec<Json> {
         let all = self.tokens.iter().zip(&self.kinds).enumerate();
@@ -361,7 +400,7 @@ impl<'a> Pieces<'a> {
     /// `tokenizer.json`.
     fn to_json(
         &self,
-        scores: &[f64],
+        merges: &Json,
         bos: Option<(i64, &str)>,
         unknown: Option<&str>,
         prefix: bool,
@@ -396,7 +435,7 @@ impl<'a> Pieces<'a> {
             "model": {
                 "type": "BPE", "dropout": null, "unk_token": unknown, "continuing_subword_prefix": null,
                 "end_of_word_suffix": null, "fuse_unk": true, "byte_fallback": true, "ignore_merges": false,
-                "vocab": vocabulary, "merges": self.merges(scores),
+                "vocab": vocabulary, "merges": merges,
             },
         })
     }

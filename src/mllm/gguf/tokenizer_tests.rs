@@ -192,6 +192,64 @@ proptest! {
     }
 }
 
+/// Files of Gemma 4 have the merges in the place of scores that order them.
+#[test]
+fn merges_that_a_file_names_are_taken_as_they_are() {
+    let json = llama(false);
+    let mut header = header(&json);
+    let merges: Vec<String> = json["model"]["merges"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|pair| {
+            format!(
+                "{} {}",
+                pair[0].as_str().unwrap(),
+                pair[1].as_str().unwrap()
+            )
+        })
+        .collect();
+    let mut set = |key: &str, value: Json| {
+        header
+            .metadata
+            .insert(format!("tokenizer.ggml.{key}"), value)
+    };
+    set("model", json!("gemma4"));
+    set("merges", json!(merges));
+    header.metadata.remove("tokenizer.ggml.scores");
+    header.metadata.remove("tokenizer.ggml.add_space_prefix");
+    let read = tokenizer::read(&header, VOCABULARY).unwrap();
+    let back: Tokenizer = serde_json::from_value(read.tokenizer).unwrap();
+    let ours: Tokenizer = serde_json::from_value(json).unwrap();
+    for text in [
+        "keep the lane",
+        " there  is a king\n\n",
+        "Über \u{1f697}!",
+        "<s>left",
+    ] {
+        assert_eq!(ids(&back, text, true), ids(&ours, text, true), "{text:?}");
+    }
+    for wrong in [
+        json!(["a"]),
+        json!(["zz zz"]),
+        json!(["a ", "b"]),
+        json!(7),
+        Json::Null,
+    ] {
+        header
+            .metadata
+            .insert("tokenizer.ggml.merges".into(), wrong.clone());
+        let problem = tokenizer::read(&header, VOCABULARY)
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            problem.contains("tokenizer.ggml.merges"),
+            "{wrong}: {problem}"
+        );
+    }
+}
+
 #[test]
 fn a_placeholder_of_images_is_found_or_added_behind_all_tokens() {
     let mut json = llama(true);

@@ -78,6 +78,16 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let local = json!({"head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
     let gemma = json!({"image_token_index": 3, "mm_tokens_per_image": 16,
         "vision_config": tower("num_attention_heads", 128), "text_config": with(text.clone(), local)});
+    let varied = json!({"head_dim": 32, "global_head_dim": 64, "num_kv_shared_layers": 2, "use_double_wide_mlp": true,
+        "sliding_window": 24, "hidden_size_per_layer_input": 32, "use_bidirectional_attention": "vision",
+        "vocab_size_per_layer_input": text["vocab_size"], "final_logit_softcapping": 5.0,
+        "layer_types": (0..text["num_hidden_layers"].as_u64().unwrap())
+            .map(|layer| if layer % 2 == 1 { "full_attention" } else { "sliding_attention" })
+            .collect::<Vec<_>>()});
+    let pooled = json!({"image_token_id": 3, "text_config": with(text.clone(), varied.clone()),
+        "vision_config": {"hidden_size": 128, "intermediate_size": 192, "num_hidden_layers": 3, "num_attention_heads": 4,
+            "num_key_value_heads": 2, "head_dim": 32, "patch_size": 8, "position_embedding_size": 120,
+            "use_clipped_linears": true, "standardize": true}});
     let whole = json!({"embed_dim": 192, "hidden_size": 256});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture = |width, height| {
@@ -134,6 +144,14 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
             ),
             picture(90, 70),
         ),
+        (
+            random(
+                "gemma4",
+                &pooled,
+                &json!({"max_soft_tokens": 20, "patch_size": 8}),
+            ),
+            picture(100, 150),
+        ),
         (random("lfm2-vl", &convolving, &views), picture(130, 170)),
         (random("qwen3.5", &ruled, &pixels), picture(160, 100)),
     ];
@@ -144,6 +162,10 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         ("qwen2", json!({"model_type": "qwen2"})),
         ("qwen3", json!({"model_type": "qwen3", "head_dim": 32})),
         ("gemma3_text", local),
+        (
+            "gemma4_text",
+            with(varied, json!({"model_type": "gemma4_text"})),
+        ),
         ("lfm2", convolve),
         (
             "qwen3_5_text",

@@ -102,7 +102,7 @@ impl Tower {
                 .filter(|(name, _)| name.starts_with("vision"))
         };
         let kernel = vision()
-            .find(|(name, _)| name.contains("patch_embedding") && name.ends_with(".weight"))
+            .find(|(name, _)| name.contains("patch_embed") && name.ends_with(".weight"))
             .map(|(_, shape)| shape.as_slice());
         let (hidden, patch) = match kernel {
             Some([hidden, .., rows, columns]) if *rows == *columns => (*hidden, rows * columns),
@@ -157,7 +157,9 @@ impl MemoryNeed {
         // with the key at fault.
         let widest = shapes().flatten().copied().max().unwrap_or(0);
         let width = |width: usize| width.min(widest) as u64;
-        let layers = decoder.attention_layers().min(shapes().count()) as u64;
+        let keys = (0..decoder.layers.min(shapes().count()))
+            .filter_map(|layer| Some(width(decoder.kept_keys(layer)?)))
+            .fold(0, u64::saturating_add);
         let own = decoder.own_state();
         let kept = (MAX_STATES.saturating_mul(own.state))
             .saturating_add(MAX_ROWS.saturating_mul(own.row)) as u64;
@@ -167,7 +169,8 @@ impl MemoryNeed {
         let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
-            cache: (2 * key_value * tokens * width(decoder.kv_heads * decoder.head_dim) * layers)
+            cache: (2 * key_value * tokens)
+                .saturating_mul(keys)
                 .saturating_add(states),
             // Once as in the file, once in f32.
             work: (float * tokens * alive).max(2 * float * largest),

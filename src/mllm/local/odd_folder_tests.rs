@@ -172,6 +172,19 @@ fn sizes_are_bounded_before_memory_is_taken() {
         ),
         ("tiny_gemma3", CONFIG, "/mm_tokens_per_image", most.clone()),
         (
+            "tiny_gemma4",
+            CONFIG,
+            "/vision_config/position_embedding_size",
+            most.clone(),
+        ),
+        (
+            "tiny_gemma4",
+            CONFIG,
+            "/text_config/hidden_size_per_layer_input",
+            most.clone(),
+        ),
+        ("tiny_gemma4", PROCESSOR, "/max_soft_tokens", most.clone()),
+        (
             "tiny_gemma3",
             PROCESSOR,
             "/size",

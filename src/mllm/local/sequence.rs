@@ -259,6 +259,10 @@ impl Sequence {
             .collect::<candle_core::Result<_>>()?;
         Ok(DecoderInput {
             rows: Tensor::cat(&rows, 0)?,
+            tokens: ids
+                .iter()
+                .map(|id| (!is_image(id)).then_some(*id))
+                .collect(),
             positions: rotary,
             prompt_end: self.prompt_end,
             vision,

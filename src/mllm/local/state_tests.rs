@@ -29,6 +29,14 @@ static MODELS: LazyLock<Vec<Model>> = LazyLock::new(|| {
             json!({"head_dim": 16, "sliding_window": 7, "sliding_window_pattern": 2}),
         ),
         model(
+            "gemma4_text",
+            json!({"head_dim": 16, "global_head_dim": 32, "num_global_key_value_heads": 1, "attention_k_eq_v": true,
+                "num_hidden_layers": 6, "sliding_window": 7, "num_kv_shared_layers": 2, "use_double_wide_mlp": true,
+                "hidden_size_per_layer_input": 8, "vocab_size_per_layer_input": 128, "final_logit_softcapping": 5.0,
+                "layer_types": ["sliding_attention", "full_attention", "sliding_attention", "full_attention",
+                    "sliding_attention", "full_attention"]}),
+        ),
+        model(
             "lfm2",
             json!({"layer_types": ["conv", "full_attention", "conv", "conv"], "conv_L_cache": 4}),
         ),

@@ -242,8 +242,8 @@ fn unknown_pair(decoder: &Header, tower: Option<&Header>) -> Result<MllmError, M
             format!("'{kind}' is not supported with a decoder of architecture {architecture}")
         }
         None => format!(
-            "is missing from the metadata, and no known model family has such a vision tower beside a decoder of \
-             architecture {architecture}"
+            "is missing from the metadata (newer files: clip.vision.projector_type), and no known model family has \
+             such a vision tower beside a decoder of architecture {architecture}"
         ),
     };
     let hint = "`vision = false` in the model's description opens the decoder alone, as a language model that sees nothing";

@@ -3,11 +3,12 @@
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles};
 use crate::gguf::names::{
-    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT,
-    QWEN35_LAYERS, ROTARY,
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, GEMMA4_LAYERS, GEMMA4_SINGLE, LFM2_LAYERS,
+    LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
 };
 use crate::gguf::{
-    Changed, Described, GgufLayout, Header, TextFiles, as_stored, gemma, lfm2, llama, qwen35,
+    Changed, Described, GgufLayout, Header, TextFiles, as_stored, gemma, gemma4, lfm2, llama,
+    qwen35,
 };
 use std::collections::BTreeMap;
 
@@ -19,6 +20,19 @@ const NAMES: Names = Names {
 const GEMMA_NAMES: Names = Names {
     single: &[EMBEDDING, FINAL_NORM, OUTPUT, ROTARY],
     layers: &[GEMMA_LAYERS],
+};
+
+const GEMMA4_NAMES: Names = Names {
+    single: &[
+        EMBEDDING,
+        FINAL_NORM,
+        OUTPUT,
+        ROTARY,
+        GEMMA4_SINGLE[0],
+        GEMMA4_SINGLE[1],
+        GEMMA4_SINGLE[2],
+    ],
+    layers: &[GEMMA4_LAYERS],
 };
 
 const LFM2_NAMES: Names = Names {
@@ -58,6 +72,14 @@ impl TextGguf {
         names: GEMMA_NAMES,
         renamed: as_stored,
         changed: Changed::Norms,
+    };
+
+    /// The files of Gemma 4.
+    pub(super) const OF_GEMMA4: Self = Self {
+        architectures: &[gemma4::ARCHITECTURE],
+        names: GEMMA4_NAMES,
+        renamed: as_stored,
+        changed: Changed::Nothing,
     };
 
     /// The files of LFM2.
@@ -119,6 +141,9 @@ impl GgufLayout for TextGguf {
 }
 
 fn described(config: &LlamaConfig) -> Described {
+    if config.layer_scales {
+        return Err("layers of different shapes");
+    }
     if config.gemma.is_some() {
         if config.attention_bias {
             return Err("biases of these projections");

@@ -10,8 +10,8 @@ mod gemma_tests;
 mod lfm2_tests;
 
 use super::MllmError;
-use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles};
-use super::family::{About, Family};
+use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Weights};
+use super::family::{About, Family, OpenedModel};
 use gguf::TextGguf;
 use model::TextModel;
 
@@ -100,6 +100,26 @@ pub(crate) const GEMMA3: Family = Family {
     },
 };
 
+/// Gemma 4 without a vision tower.
+pub(crate) const GEMMA4: Family = Family {
+    name: "gemma4_text",
+    config_names: &["gemma4_text", "Gemma4ForCausalLM"],
+    canonical_name: |stored| canonical_name(stored).map(gemma4_name),
+    gguf: Ok(&TextGguf::OF_GEMMA4),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: |files| config(files, DecoderType::Gemma4),
+    open: |files, weights| {
+        let config = config(files, DecoderType::Gemma4)?;
+        take(weights, "gemma4_text", &config)
+    },
+    about: About {
+        models: "Gemma 4 without its tower",
+        gguf: &[("gemma4", None)],
+        tested: "transformers, llama.cpp: tests/fixtures/tiny_gemma4",
+        example: "./my-gemma-4",
+    },
+};
+
 /// LFM2: short convolutions, and attention in some layers.
 pub(crate) const LFM2: Family = Family {
     name: "lfm2",
@@ -141,6 +161,21 @@ pub(crate) const QWEN35: Family = Family {
 };
 
 const TOKENIZER: &str = "tokenizer.json";
+
+/// Takes the weights of a language model of the family `name`.
+pub(crate) fn take(weights: &mut Weights, name: &'static str, config: &LlamaConfig) -> OpenedModel {
+    Ok(Box::new(TextModel::take(weights, name, config)?))
+}
+
+/// The canonical name of a tensor of a Gemma 4, from that of a Llama: the factor of a layer is no
+/// weight in folders, and one in llama.cpp's files.
+pub(crate) fn gemma4_name(name: String) -> String {
+    if name.ends_with(".layer_scalar") {
+        name + ".weight"
+    } else {
+        name
+    }
+}
 
 /// The canonical name of a tensor of a Qwen 3.5, from that of a Qwen; none for the blocks that
 /// predict further tokens.

@@ -97,6 +97,7 @@ fn logits(folder: &Path, quantize: Option<WeightFormat>, ids: &[u32]) -> (Tensor
     let decoder: Decoder<LlamaLayer> = Decoder::take(&mut weights, &config, "model.").unwrap();
     let input = DecoderInput {
         rows: decoder.embed(ids).unwrap(),
+        tokens: ids.iter().copied().map(Some).collect(),
         positions: Positions::plain(0..ids.len() as u32).rotary,
         prompt_end: 0,
         vision: 0..0,
