@@ -215,6 +215,7 @@ fn what_python_writes_for_no_number_counts_only_where_it_is_read() {
         let copy = Copy::new();
         write_word(&copy, "initializer_range", word);
         assert_same(&copy);
+        let copy = Copy::new();
         write_word(&copy, "rms_norm_eps", word);
         let error = copy.error().to_string();
         assert!(

@@ -47,6 +47,7 @@ impl Endpoint {
         let pictures = colors
             .iter()
             .map(|(_, color)| Some(RgbImage::from_pixel(side, side, *color)));
+        // A refused form is a request, too: the question of the second color is left out then.
         let sent = Cell::new(0);
         let may_send = || {
             sent.set(sent.get() + 1);

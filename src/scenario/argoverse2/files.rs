@@ -25,6 +25,7 @@ impl LogFiles {
     pub(super) fn in_folder(folder: &Path) -> Result<Self, Argoverse2Error> {
         let missing = |file| Argoverse2Error::at(folder)(LogFault::Missing(file));
         let poses = folder.join(POSES);
+        // The files that are there tell the kind of log, and so which file is missed.
         if poses.is_file() {
             let published = folder.join(ANNOTATIONS);
             let annotations = if published.is_file() {
