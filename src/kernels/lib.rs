@@ -3,6 +3,7 @@
 
 mod activation;
 pub mod attention;
+mod awake;
 mod delta_rule;
 mod layer_norm;
 pub mod limits;
@@ -14,6 +15,7 @@ pub mod values;
 mod work;
 
 pub use activation::Activation;
+pub use awake::Awake;
 pub use delta_rule::{DeltaHeads, GatedDeltaRule};
 pub use layer_norm::LayerNorm;
 pub use limits::Limits;

@@ -21,6 +21,7 @@ use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
 use candle_core::Tensor;
 use image::RgbImage;
+use planagent_kernels::Awake;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Debug, Formatter};
 use std::ops::Range;
@@ -155,7 +156,9 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
 
     /// Encodes an image to input rows of the decoder.
     fn encode_image(&self, image: &RgbImage) -> Result<ImageFeatures, MllmError> {
-        Ok(self.encode(&self.preprocess(image)?)?)
+        let pixels = self.preprocess(image)?;
+        let _threads = Awake::begin();
+        Ok(self.encode(&pixels)?)
     }
 }
 

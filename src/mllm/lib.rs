@@ -87,6 +87,7 @@ pub use gguf::{GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{
     FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline,
+    ModelWork,
 };
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use planagent_kernels::{Limits, Work};

@@ -8,6 +8,7 @@ use super::packed_tiles::PackedTiles;
 use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
+use crate::Awake;
 use rayon::prelude::*;
 use std::marker::PhantomData;
 
@@ -20,6 +21,8 @@ const MAX_PACKED_BYTES: usize = 1 << 20;
 
 /// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
+/// The same where a thread is awake: a few µs.
+const MIN_AWAKE_PRODUCTS: usize = 1 << 17;
 
 /// Cache lines between the one that is unpacked and the one that is prefetched.
 const PREFETCH_LINES: usize = 64;
@@ -141,7 +144,12 @@ fn multiply_as<F: Format>(
     // a chunk.
     for (index, rows) in x.chunks(chunk * inputs).enumerate() {
         let count = rows.len() / inputs;
-        let parallel = threads > 1 && count * inputs * tiles.outputs() >= MIN_PARALLEL_PRODUCTS;
+        let enough = if Awake::is_anybody() {
+            MIN_AWAKE_PRODUCTS
+        } else {
+            MIN_PARALLEL_PRODUCTS
+        };
+        let parallel = threads > 1 && count * inputs * tiles.outputs() >= enough;
         let mut words = vec![0; count * row_words];
         let batches = words
             .chunks_mut(MAX_BATCH * row_words)

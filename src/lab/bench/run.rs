@@ -4,6 +4,7 @@ use super::agreement::Agreement;
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
+use super::machine_limits::keep_middle;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
@@ -102,7 +103,7 @@ pub fn run<E>(
     commit: &mut dyn FnMut(&[Row]) -> Result<(), E>,
     progress: &dyn Fn(Progress<'_>),
 ) -> Result<(), E> {
-    let mut best = 0.0;
+    let (mut best, mut measured) = (0.0, Vec::new());
     for candidate in candidates {
         let bench = Bench {
             candidate,
@@ -118,8 +119,14 @@ pub fn run<E>(
                     problem: error.to_string(),
                 })]
             });
+        let of_own = rows.iter().filter_map(|row| match row {
+            Row::Model(row) => Some(row.limits.iter().cloned()),
+            _ => None,
+        });
+        measured.extend(of_own.flatten());
         commit(&rows)?;
     }
+    keep_middle(&measured);
     Ok(())
 }
 

@@ -95,7 +95,7 @@ impl VariedShapes {
     }
 
     /// The shape of a layer, by its number from 0.
-    pub(super) fn of(&self, config: &LlamaConfig, layer: usize, is_local: bool) -> LayerShape {
+    pub(super) fn layer(&self, config: &LlamaConfig, layer: usize, is_local: bool) -> LayerShape {
         let shares = layer + self.sharing >= config.layers;
         let [kv_heads, head_dim] = if is_local {
             [config.kv_heads, config.head_dim]

@@ -246,7 +246,7 @@ impl LlamaConfig {
         let gemma = self.gemma.as_ref();
         let varied = gemma.and_then(|gemma| Some((gemma.shapes?, gemma.is_local(layer))));
         match varied {
-            Some((shapes, is_local)) => shapes.of(self, layer, is_local),
+            Some((shapes, is_local)) => shapes.layer(self, layer, is_local),
             None => LayerShape {
                 kv_heads: self.kv_heads,
                 head_dim: self.head_dim,
@@ -259,13 +259,22 @@ impl LlamaConfig {
     /// Numbers of the keys that a layer keeps of a position; none of a layer that keeps none.
     pub(crate) fn kept_keys(&self, layer: usize) -> Option<usize> {
         let shape = self.shape(layer);
-        let own_state = self.delta.as_ref().is_some_and(|delta| delta.is_in(layer))
-            || self
-                .convolution
-                .as_ref()
-                .is_some_and(|own| own.is_in(layer));
         let shares = matches!(shape.keys, LayerKeys::Of(_));
-        (!own_state && !shares).then(|| shape.kv_heads.saturating_mul(shape.head_dim))
+        (self.attends(layer) && !shares).then(|| shape.kv_heads.saturating_mul(shape.head_dim))
+    }
+
+    /// Numbers of the queries that a layer asks for a position; 0 for a layer without attention.
+    pub(crate) fn queries(&self, layer: usize) -> usize {
+        let width = self.heads.saturating_mul(self.shape(layer).head_dim);
+        if self.attends(layer) { width } else { 0 }
+    }
+
+    /// Whether a layer attends to earlier positions in place of a state of its own.
+    fn attends(&self, layer: usize) -> bool {
+        let delta = self.delta.as_ref();
+        let convolution = self.convolution.as_ref();
+        !delta.is_some_and(|own| own.is_in(layer))
+            && !convolution.is_some_and(|own| own.is_in(layer))
     }
 
     /// Reads the keys of `Lfm2Config` that Llama does not have, or calls otherwise.

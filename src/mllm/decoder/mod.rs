@@ -32,11 +32,10 @@ pub use planagent_kernels::attention::Position;
 use super::MllmError;
 use super::checkpoint::{LlamaConfig, Weights};
 use candle_core::Tensor;
-use planagent_kernels::Linear;
-use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::RopeScaling;
 use planagent_kernels::attention::{Precision, RotaryEmbedding};
 use planagent_kernels::matrix::{Matrix, WeightFormat};
+use planagent_kernels::{Awake, Linear, RmsNorm};
 use std::ops::Range;
 
 #[derive(Debug)]
@@ -208,6 +207,7 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
     ) -> candle_core::Result<Option<Tensor>> {
         let tokens = input.rows.dim(0)?;
         let unfinished = cache.begin(tokens)?;
+        let _threads = Awake::begin();
         let x = match self.run_layers(input, cache) {
             Ok(x) => x,
             Err(error) => {

@@ -13,7 +13,6 @@ mod gguf_tests;
 #[cfg(test)]
 mod reference_tests;
 
-use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::{About, Family, OpenedModel};
 use super::text_only;
@@ -79,7 +78,7 @@ fn canonical_name(stored: &str) -> Option<String> {
 
 /// What is read of the small files, for tests of their keys.
 #[cfg(test)]
-pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, super::MllmError> {
     let config = Gemma4Config::open(files)?;
     let tower = config.tower.as_ref();
     let processor = tower.map(|tower| PictureProcessor::open(files, tower));

@@ -1,6 +1,7 @@
 //! How a model is loaded: the choices of the user, and the files that they lead to.
 
-use super::memory::{self, MemoryCheck, PictureNeed};
+use super::memory::{self, MemoryCheck};
+use super::picture::PictureNeed;
 use crate::MllmError;
 use crate::adapter::AdapterSpec;
 use crate::checkpoint::ModelFiles;

@@ -1,9 +1,9 @@
 //! The memory that a model needs, and the memory that is free.
 
+use super::picture::PictureNeed;
 use crate::MllmError;
-use crate::checkpoint::{LlamaConfig, WeightFormatPlan, Weights, in_bytes};
+use crate::checkpoint::{LlamaConfig, in_bytes};
 use crate::decoder::{MAX_ROWS, MAX_STATES};
-use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;
@@ -30,17 +30,6 @@ pub struct MemoryNeed {
     pub picture: u64,
 }
 
-/// The drawn picture on its way to the decoder.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct PictureNeed {
-    /// Tokens that it becomes.
-    tokens: u64,
-    /// Patches that the tower reads.
-    pub(super) patches: u64,
-    /// Bytes of its pixels and patches, and of the activations that are alive at once.
-    bytes: u64,
-}
-
 /// Tokens of a planning call with the long prompt set and the largest image of published models
 /// (2928 tokens), rounded up.
 const CALL_TOKENS: u64 = 4096;
@@ -48,79 +37,7 @@ const CALL_TOKENS: u64 = 4096;
 const TEXT_TOKENS: u64 = CALL_TOKENS - 2928;
 /// Activations of a token that are alive at once: rows of the hidden width, and of the feed-forward
 /// width.
-const ROWS: (u64, u64) = (8, 3);
-
-impl PictureNeed {
-    /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a model
-    /// that reads text alone, or for a
-    /// configuration that cannot be opened: opening the model says why.
-    pub(crate) fn estimate(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
-        let mut listed = Weights::empty(checkpoint.files.place(), WeightFormatPlan::default());
-        listed.only_list();
-        let opened = (checkpoint.family.family().open)(&checkpoint.files, &mut listed);
-        let Ok(mut model) = opened else {
-            return Self::default();
-        };
-        // Opening the model says which settings the family refuses.
-        let _ = model.set_images(image);
-        let Some(side) = model.info().image_size.map(|side| side as u32) else {
-            return Self::default();
-        };
-        let (Ok(layout), Ok(pixels)) = (
-            model.image_layout(side, side),
-            model.tower_pixels(side, side),
-        ) else {
-            return Self::default();
-        };
-        let (values, tower) = (3 * pixels as u64, Tower::from_tensors(listed.listed()));
-        let patches = pixels as u64 / tower.patch.max(1);
-        let row = ROWS.0 * tower.hidden + ROWS.1 * tower.intermediate;
-        // The values once in rows of pixels, once in patches.
-        let numbers = patches.saturating_mul(row).saturating_add(2 * values);
-        Self {
-            tokens: layout.tokens as u64,
-            patches,
-            bytes: numbers.saturating_mul(size_of::<f32>() as u64),
-        }
-    }
-}
-
-/// Sizes of a vision tower, by its tensors.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Tower {
-    /// Pixels of a patch.
-    patch: u64,
-    hidden: u64,
-    intermediate: u64,
-}
-
-impl Tower {
-    fn from_tensors(tensors: &[(String, Vec<usize>)]) -> Self {
-        let vision = || {
-            tensors
-                .iter()
-                .filter(|(name, _)| name.starts_with("vision"))
-        };
-        let kernel = vision()
-            .find(|(name, _)| name.contains("patch_embed") && name.ends_with(".weight"))
-            .map(|(_, shape)| shape.as_slice());
-        let (hidden, patch) = match kernel {
-            Some([hidden, .., rows, columns]) if *rows == *columns => (*hidden, rows * columns),
-            Some([hidden, values]) => (*hidden, values / 3),
-            _ => (0, 0),
-        };
-        let wide = vision().filter_map(|(_, shape)| match shape.as_slice() {
-            [outputs, inputs] if *inputs == hidden => Some(*outputs),
-            _ => None,
-        });
-        Self {
-            patch: patch as u64,
-            hidden: hidden as u64,
-            // The table of positions is no layer, and wider than one only for tiny patches.
-            intermediate: wide.max().unwrap_or(hidden) as u64,
-        }
-    }
-}
+pub(super) const ROWS: (u64, u64) = (8, 3);
 
 impl MemoryNeed {
     /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of
@@ -307,6 +224,7 @@ fn inactive_file(stat: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::family::ImageSettings;
     use crate::local::test_reference::{fixture, open_checkpoint};
 
     #[test]

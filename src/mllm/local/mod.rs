@@ -11,9 +11,11 @@ mod likeliest;
 mod loading;
 mod memory;
 mod outline;
+mod picture;
 mod sequence;
 mod session;
 mod thinking;
+mod work;
 
 #[cfg(test)]
 mod caching_tests;
@@ -40,10 +42,11 @@ mod text_only_tests;
 
 pub use check::ModelCheck;
 pub use loading::Loading;
-pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
+pub(crate) use picture::PictureNeed;
 pub(crate) use sequence::Sequence;
+pub use work::ModelWork;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;

@@ -1,5 +1,6 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
+use super::work::{ModelWork, token_bytes};
 use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
 use crate::checkpoint::MergedAdapter;
@@ -23,6 +24,10 @@ pub struct ModelOutline {
     pub image_range: Option<ImageRange>,
     /// Longest chat, tokens.
     pub context: usize,
+    /// Whether the system prompt stands behind the image.
+    pub image_first: bool,
+    /// What it computes.
+    pub work: ModelWork,
     /// What is merged into its weights.
     pub adapter: Option<MergedAdapter>,
     /// The model in each of [`ModelOutline::FORMATS`], as `--quantize` gives it.
@@ -34,6 +39,8 @@ pub struct ModelOutline {
 pub struct FormatOutline {
     pub weight_format: WeightFormat,
     pub memory: MemoryNeed,
+    /// Bytes of weights that a decoded token reads.
+    pub token_bytes: u64,
 }
 
 impl ModelOutline {
@@ -54,12 +61,14 @@ impl ModelOutline {
         let picture = PictureNeed::estimate(&checkpoint, image);
         let memory = Self::FORMATS
             .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
+        let work = ModelWork::from_weights(&checkpoint.weights, &config, picture);
+        let read = Self::FORMATS.map(|format| token_bytes(&checkpoint.weights, format));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
         let info = model.info().clone();
         let tokens = model.drawn_layout()?.map_or(0, |layout| layout.tokens);
-        let formats = Self::FORMATS.into_iter().zip(memory);
+        let formats = Self::FORMATS.into_iter().zip(memory).zip(read);
         Ok(Self {
             adapter: checkpoint.weights.report().adapter.clone(),
             family: info.architecture,
@@ -67,11 +76,14 @@ impl ModelOutline {
             image_size: info.image_size,
             image_tokens: tokens,
             image_range: info.image_range,
+            image_first: info.image_first,
+            work,
             context: model.context(tokens),
             formats: formats
-                .map(|(weight_format, memory)| FormatOutline {
+                .map(|((weight_format, memory), token_bytes)| FormatOutline {
                     weight_format,
                     memory,
+                    token_bytes,
                 })
                 .collect(),
         })

@@ -13,12 +13,13 @@ const FORMATS: [WeightFormat; 4] = [
     WeightFormat::F16,
     WeightFormat::F32,
 ];
-/// The format whose keys and values the table has.
+/// The format whose keys and values and calls the table has.
 const USUAL: WeightFormat = WeightFormat::Q4K;
 /// What the columns mean, and what to do next.
 const NOTE: &str = "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in \
-    four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. `planagent bench MODEL` \
-    measures the time of a planning call; `planagent models show MODEL` has more.";
+    four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. call: seconds of a \
+    planning call in q4_k with the model's prompt set, estimated for this machine. `planagent bench \
+    MODEL` measures it; `planagent models show MODEL` has more.";
 /// Bytes of a GiB.
 const GIB: f64 = (1_u64 << 30) as f64;
 
@@ -66,13 +67,13 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
     Ok(Exit::Success)
 }
 
-/// A row for each model: a star where it is on this machine, its size, license, image tokens, and
-/// memory.
+/// A row for each model: a star where it is on this machine, its size, license, image tokens,
+/// memory, and the time of a call.
 fn table(rows: &[Row]) -> Table {
     let headers = ["  model", "size", "license", "image"]
         .into_iter()
         .chain(FORMATS.map(WeightFormat::name))
-        .chain(["kv"]);
+        .chain(["kv", "call"]);
     Table::new(headers, 1, rows.iter().map(cells))
         .with_texts(LICENSE)
         .with_gap(1)
@@ -99,13 +100,17 @@ fn cells(row: &Row) -> Vec<String> {
     ]
     .into_iter()
     .chain(memory)
-    .chain([or_dash(need(USUAL), |need| gib(need.cache))])
+    .chain([
+        or_dash(need(USUAL), |need| gib(need.cache)),
+        or_dash(row.call.get(USUAL.name()), |call| rounded(call.seconds())),
+    ])
     .collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planagent_lab::bench::CallEstimate;
     use planagent_mllm::MemoryNeed;
     use planagent_runs::report::LineWidth;
 
@@ -124,6 +129,14 @@ mod tests {
             parameters: Some(17_640_000_000),
             image_tokens: Some(2880),
             memory: FORMATS.map(|format| (format.name(), NEED)).into(),
+            call: [(
+                USUAL.name(),
+                CallEstimate {
+                    decode_s: 142.0,
+                    ..CallEstimate::default()
+                },
+            )]
+            .into(),
             place: Some("here".into()),
             ..Row::default()
         };

@@ -2,8 +2,10 @@
 
 use super::check::reason;
 use planagent_agent::reasoning;
+use planagent_lab::bench::{CallBudget, CallEstimate, machine_limits};
 use planagent_mllm::{
     Architecture, ImageRange, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec,
+    PromptSet,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -57,6 +59,9 @@ pub(super) struct Row {
     /// Memory in each weight format, bytes.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub memory: BTreeMap<&'static str, MemoryNeed>,
+    /// What a planning call in each weight format is estimated to take on this machine.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub call: BTreeMap<&'static str, CallEstimate>,
 }
 
 impl Row {
@@ -152,6 +157,18 @@ impl Row {
             adapter,
             ..
         } = &outline;
+        let budget = self.prompt_set.as_deref().and_then(PromptSet::named);
+        let budget = budget.map(CallBudget::for_prompts);
+        let call = budget.map_or_else(BTreeMap::new, |budget| {
+            let formats = formats.iter().map(|format| format.weight_format);
+            let limits = machine_limits();
+            formats
+                .filter_map(|format| {
+                    let call = CallEstimate::new(&outline, format, &budget, limits)?;
+                    Some((format.name(), call))
+                })
+                .collect()
+        });
         Self {
             family: Some(*family),
             parameters: Some(*parameters),
@@ -164,6 +181,7 @@ impl Row {
                 .iter()
                 .map(|format| (format.weight_format.name(), format.memory))
                 .collect(),
+            call,
             ..self
         }
     }
