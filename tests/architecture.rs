@@ -53,7 +53,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "kernels",
         &[
-            &["activation", "values", "work"],
+            &["activation", "awake", "values", "work"],
             &["matrix"],
             &["layer_norm", "limits", "linear", "pointwise", "rms_norm"],
             &["attention", "delta_rule"],

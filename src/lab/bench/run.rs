@@ -104,6 +104,7 @@ pub fn run<E>(
     progress: &dyn Fn(Progress<'_>),
 ) -> Result<(), E> {
     let (mut best, mut measured) = (0.0, Vec::new());
+    // One after the other: models that share the processor would measure each other.
     for candidate in candidates {
         let bench = Bench {
             candidate,

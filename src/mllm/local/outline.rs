@@ -63,6 +63,7 @@ impl ModelOutline {
             .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
         let work = ModelWork::from_weights(&checkpoint.weights, &config, picture);
         let read = Self::FORMATS.map(|format| token_bytes(&checkpoint.weights, format));
+        // From here on, tensors are taken out and nothing can be counted any more.
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;

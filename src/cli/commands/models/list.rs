@@ -18,8 +18,8 @@ const USUAL: WeightFormat = WeightFormat::Q4K;
 /// What the columns mean, and what to do next.
 const NOTE: &str = "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in \
     four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. call: seconds of a \
-    planning call in q4_k with the model's prompt set, estimated for this machine. `planagent bench \
-    MODEL` measures it; `planagent models show MODEL` has more.";
+    planning call in q4_k with the model's prompt set, estimated for this machine. \
+    `planagent bench MODEL` measures it; `planagent models show MODEL` has more.";
 /// Bytes of a GiB.
 const GIB: f64 = (1_u64 << 30) as f64;
 
