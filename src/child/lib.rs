@@ -88,7 +88,7 @@ fn guard() -> io::Result<Child> {
         .stderr(Stdio::null())
         .process_group(0)
         .spawn()
-        .map_err(no_guard)?;
+        .map_err(|error| no_guard(&error))?;
     let ready = match guard.stdout.take() {
         Some(mut stdout) => stdout.read_exact(&mut [0]),
         None => Err(io::ErrorKind::BrokenPipe.into()),
@@ -96,13 +96,13 @@ fn guard() -> io::Result<Child> {
     if let Err(error) = ready {
         let _ = guard.kill();
         let _ = guard.wait();
-        return Err(no_guard(error));
+        return Err(no_guard(&error));
     }
     Ok(guard)
 }
 
 #[cfg(unix)]
-fn no_guard(error: io::Error) -> io::Error {
+fn no_guard(error: &io::Error) -> io::Error {
     io::Error::other(format!(
         "sh, which ends a command with this program, cannot be started: {error}"
     ))

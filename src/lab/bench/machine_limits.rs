@@ -40,7 +40,7 @@ pub fn machine_limits() -> &'static Limits {
 /// Keeps the middle of the limits that a bench measured: it had the machine for longer.
 pub(super) fn keep_middle(measured: &[Limits]) {
     let middle = |limit: fn(&Limits) -> f64| {
-        let mut limits: Vec<f64> = measured.iter().map(|all| limit(all)).collect();
+        let mut limits: Vec<f64> = measured.iter().map(limit).collect();
         limits.sort_by(f64::total_cmp);
         limits.get(limits.len() / 2).copied()
     };

@@ -63,13 +63,12 @@ impl VariedShapes {
         // Keys by layer come before those for all global layers, as in transformers.
         let keys_as_values = text.value("attention_k_eq_v")?.unwrap_or(false);
         let own = [config.kv_heads, config.head_dim];
-        let global = match text.value(BY_LAYER)? {
-            Some(layers) => by_layer(text, &layers, own, local)?,
-            None => {
-                let width = text.value(GLOBAL_WIDTH)?.unwrap_or(DEFAULT_GLOBAL_WIDTH);
-                let heads: Option<usize> = text.value(GLOBAL_KEYS)?;
-                [heads.filter(|_| keys_as_values).unwrap_or(own[0]), width]
-            }
+        let global = if let Some(layers) = text.value(BY_LAYER)? {
+            by_layer(text, &layers, own, local)?
+        } else {
+            let width = text.value(GLOBAL_WIDTH)?.unwrap_or(DEFAULT_GLOBAL_WIDTH);
+            let heads: Option<usize> = text.value(GLOBAL_KEYS)?;
+            [heads.filter(|_| keys_as_values).unwrap_or(own[0]), width]
         };
         let ranges = [
             (GLOBAL_KEYS, global[0], MAX_LAYERS),

@@ -48,7 +48,7 @@ impl Gemma4 {
             encoder,
             decoder,
             processor,
-            image_at_once: gemma.is_some_and(|gemma| gemma.sees_image_at_once()),
+            image_at_once: matches!(gemma, Some(gemma) if gemma.sees_image_at_once()),
             info: ModelInfo::new(NAME, &config.text, Some(image), weights, before),
         })
     }

@@ -32,6 +32,14 @@ pub(super) fn random(
     (family.open)(&files, &mut Weights::random(7)).unwrap()
 }
 
+/// An object with further keys.
+fn with(mut value: Value, keys: Value) -> Value {
+    if let (Some(value), Value::Object(keys)) = (value.as_object_mut(), keys) {
+        value.extend(keys);
+    }
+    value
+}
+
 /// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to
 /// split matrix products over threads: every family that is built in.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
@@ -41,13 +49,6 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     };
     let text = json!({"hidden_size": 256, "intermediate_size": 688, "num_hidden_layers": 6, "num_attention_heads": 8,
         "num_key_value_heads": 4, "vocab_size": 512, "max_position_embeddings": 512});
-    let with = |mut value: Value, keys: Value| {
-        value
-            .as_object_mut()
-            .unwrap()
-            .extend(keys.as_object().unwrap().clone());
-        value
-    };
     let grids = json!([[128, 256], [256, 128]]);
     let llava = json!({"image_token_index": 3, "vision_config": tower("num_attention_heads", 128), "text_config": text,
         "image_grid_pinpoints": grids});
