@@ -175,19 +175,14 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b --quantize q4_k --calls \
-         brief --speculation --iterations 3",
+        "planagent bench --random-weights nano,smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b,\
+            llava-1.5-7b --quantize q4_k --calls brief --iterations 2",
         HOURS,
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights llava-1.5-7b --quantize q4_k --calls brief --speculation --warm-up 0 --iterations 1",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
-        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
-         q4_k --calls paper --warm-up 0 --iterations 1",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b --quantize \
+            q4_k --calls brief --iterations 2",
         HOURS,
     ),
     (
