@@ -106,12 +106,13 @@ mod tests {
         pool.install(|| {
             let pass = Awake::begin();
             assert!(soon(Awake::is_anybody));
-            // The thread that is awake does the other half.
-            let threads = rayon::join(rayon::current_thread_index, || {
-                std::thread::sleep(Duration::from_millis(10));
-                rayon::current_thread_index()
-            });
-            assert!(threads.0.is_some() && threads.1.is_some());
+            // The half that waits ends only if the thread that is awake takes the other one.
+            let taken = AtomicBool::new(false);
+            let (waited, ()) = rayon::join(
+                || soon(|| taken.load(Ordering::Acquire)),
+                || taken.store(true, Ordering::Release),
+            );
+            assert!(waited);
             drop(pass);
             assert!(soon(|| !Awake::is_anybody()));
         });

@@ -84,10 +84,10 @@ impl Passes {
             Step::Image => self.append(image_tokens),
             Step::Text(tokens) => self.append(tokens),
             Step::FastForwarded(tokens) => self.appended += tokens,
-            Step::Sampled(tokens) => (0..tokens).for_each(|_| self.sample(1)),
+            Step::Sampled(tokens) => (0..tokens).for_each(|_| self.sample()),
             Step::Verified { drafted, accepted } => {
                 self.appended += drafted;
-                self.sample(1);
+                self.sample();
                 self.length -= drafted - accepted;
             }
             Step::Compute => self.compute(),
@@ -101,9 +101,9 @@ impl Passes {
     }
 
     /// Computes what is appended and appends the sampled token.
-    fn sample(&mut self, tokens: usize) {
+    fn sample(&mut self) {
         self.compute();
-        self.appended = tokens;
+        self.appended = 1;
     }
 
     /// A pass reads the weights once, and multiplies them with each of its tokens.

@@ -41,24 +41,14 @@ const DECODER_PARTS: [Pair; 11] = [
 ];
 
 /// The layers of a Gemma 3, whose norm before the feed-forward network is not Llama's second one.
-pub(crate) const GEMMA_LAYERS: (&str, &str, &[Pair]) =
-    ("blk.", "language_model.layers.", &GEMMA_PARTS);
+pub(crate) const GEMMA_LAYERS: (&str, &str, &[Pair]) = (
+    "blk.",
+    "language_model.layers.",
+    GEMMA4_PARTS.split_at(OF_GEMMA3).0,
+);
 
-const GEMMA_PARTS: [Pair; 13] = [
-    ("attn_norm", "input_layernorm"),
-    ("attn_q", "self_attn.q_proj"),
-    ("attn_k", "self_attn.k_proj"),
-    ("attn_v", "self_attn.v_proj"),
-    ("attn_q_norm", "self_attn.q_norm"),
-    ("attn_k_norm", "self_attn.k_norm"),
-    ("attn_output", "self_attn.o_proj"),
-    ("post_attention_norm", "post_attention_layernorm"),
-    ("ffn_norm", "pre_feedforward_layernorm"),
-    ("ffn_gate", "mlp.gate_proj"),
-    ("ffn_up", "mlp.up_proj"),
-    ("ffn_down", "mlp.down_proj"),
-    ("post_ffw_norm", "post_feedforward_layernorm"),
-];
+/// The first parts, which Gemma 3 has too.
+const OF_GEMMA3: usize = 13;
 
 /// The layers of a Gemma 4: those of Gemma 3, and what reads the token once more.
 pub(crate) const GEMMA4_LAYERS: (&str, &str, &[Pair]) =
