@@ -16,6 +16,12 @@ pub enum Request {
         prompt: Vec<u32>,
         count: usize,
     },
+    /// Encodes a picture of ramps, of this side in pixels, and gives the numbers of at most so many
+    /// of its tokens ([`LatencyProbe::features`](planagent_mllm::LatencyProbe::features)).
+    Features {
+        side: u32,
+        most: usize,
+    },
     /// Measures what the processor can do at most; for this program alone.
     Limits,
 }
@@ -76,6 +82,11 @@ pub enum Reply {
     Answered {
         logits: Vec<f32>,
         tokens: Vec<u32>,
+    },
+    /// The number of the picture's tokens, and the numbers of those that were asked for.
+    Encoded {
+        tokens: usize,
+        values: Vec<f32>,
     },
     Limits(Limits),
     Failed(String),

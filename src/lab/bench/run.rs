@@ -1,6 +1,6 @@
 //! The benchmark loop: one model after the other, engines in alternation.
 
-use super::agreement::Agreement;
+use super::agreement::{Agreement, PictureAgreement};
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
@@ -70,6 +70,8 @@ impl Other {
 const CANDLE: &str = "--candle";
 /// Lengths of the prompts that two engines answer, tokens.
 const PROMPTS: [usize; 4] = [1, 16, 64, 200];
+/// Tokens of a picture that are compared, at most.
+const PICTURE: usize = 64;
 /// Tokens of an answer that are compared.
 const ANSWER: usize = 16;
 
@@ -202,7 +204,7 @@ impl Bench<'_> {
         let own = engines.first_mut().expect("the own engine comes first");
         let mut limits = vec![own.engine.limits()?];
         let mut rows = Vec::new();
-        if self.settings.versus == Some(Other::Candle) {
+        if self.settings.versus.is_some() {
             rows.push(Row::Agreement(self.agreement(&mut engines)?));
         }
         for workload in &workloads {
@@ -253,7 +255,8 @@ impl Bench<'_> {
         Ok(rows)
     }
 
-    /// Compares the answers of two engines to prompts of random tokens.
+    /// Compares the answers of two engines to prompts of random tokens, and what they make of a
+    /// picture.
     fn agreement(&self, engines: &mut [Ready]) -> Result<Agreement, EngineError> {
         let [ours, theirs] = engines else {
             let problem = "there is no other engine".to_owned();
@@ -277,8 +280,15 @@ impl Bench<'_> {
             pairs.push((own, theirs.engine.answer(prompt, ANSWER)?));
         }
         let engine = theirs.engine.name();
-        Agreement::between(&self.candidate.name, engine, &pairs)
-            .map_err(|problem| EngineError::Failed { engine, problem })
+        let mut found = Agreement::between(&self.candidate.name, engine, &pairs)
+            .map_err(|problem| EngineError::Failed { engine, problem })?;
+        let side = ours.loaded.image_side;
+        if side > 0 && theirs.loaded.image_tokens > 0 {
+            let own = ours.engine.features(side, PICTURE)?;
+            let other = theirs.engine.features(side, PICTURE)?;
+            found.picture = Some(PictureAgreement::between(&own, &other));
+        }
+        Ok(found)
     }
 
     fn own(&self) -> Result<Engine, EngineError> {

@@ -1,0 +1,208 @@
+//! Decoder and vision tower of today's families, written as llama.cpp's converter writes them.
+
+use super::round_trip_tests::{edit, export, logits};
+use crate::checkpoint::read_json;
+use crate::family::ImageSettings;
+use crate::gguf::{FILE, Header, open_header, tower_path};
+use crate::local::test_prompts::{Prompts, is_unsplit};
+use crate::source::ModelPlace;
+use planagent_kernels::matrix::WeightFormat;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Fixtures with a pair that llama.cpp's converter made, and the layout of their folder.
+const PAIRS: [(&str, &str); 7] = [
+    ("tiny_smolvlm", "."),
+    ("tiny_internvl3", "."),
+    ("tiny_internvl3", "original"),
+    ("tiny_qwen3_vl", "."),
+    ("tiny_qwen2_5_vl", "."),
+    ("tiny_qwen2_vl", "."),
+    ("tiny_gemma3", "."),
+];
+
+/// The pair of a folder, in a folder of its own.
+fn written(folder: &Path, weight_format: WeightFormat) -> (tempfile::TempDir, PathBuf) {
+    let own = tempfile::tempdir().unwrap();
+    let model = export(folder, own.path(), weight_format);
+    assert!(tower_path(&model).is_file(), "{}", folder.display());
+    (own, model)
+}
+
+fn place(model: &Path) -> ModelPlace {
+    ModelPlace::Gguf {
+        model: model.to_path_buf(),
+        mmproj: None,
+    }
+}
+
+/// Removes the small files, so that the model is read by the keys that llama.cpp reads.
+fn without_packed_files(model: &Path) {
+    edit(model, |header, _| {
+        header.metadata.retain(|key, _| !key.starts_with(FILE));
+    });
+}
+
+#[test]
+fn a_pair_computes_what_transformers_computes_by_packed_files_and_by_keys() {
+    for (name, layout) in PAIRS {
+        let prompts = Prompts::from_fixture(name);
+        let (_own, model) = written(prompts.in_layout(layout).path(), WeightFormat::F32);
+        let check = || {
+            let local = Prompts::load(&place(&model), ImageSettings::default());
+            prompts.check(&local, |run| !is_unsplit(run));
+        };
+        check();
+        without_packed_files(&model);
+        check();
+    }
+}
+
+#[test]
+fn a_quantized_pair_computes_what_its_folder_computes_bit_by_bit() {
+    for (name, layout) in PAIRS {
+        let prompts = Prompts::from_fixture(name);
+        let folder = prompts.in_layout(layout);
+        let (_own, model) = written(folder.path(), WeightFormat::Q8_0);
+        let bits = |place: &ModelPlace| -> Vec<u32> {
+            let logits = logits(place, Some(WeightFormat::Q8_0));
+            logits.into_iter().map(f32::to_bits).collect()
+        };
+        let from = ModelPlace::Folder(folder.path().to_path_buf());
+        assert_eq!(bits(&place(&model)), bits(&from), "{name}, {layout}");
+    }
+}
+
+/// The numbers of each tensor of a file, by name.
+fn numbers(path: &Path) -> (Header, BTreeMap<String, Vec<f32>>) {
+    let (header, _) = open_header(path).unwrap();
+    let bytes = fs::read(path).unwrap();
+    let tensors = header.tensors.iter().map(|(name, place)| {
+        let data = bytes[place.begin as usize..][..place.bytes as usize].to_vec();
+        (name.clone(), place.format.widen(data).unwrap())
+    });
+    let tensors = tensors.collect();
+    (header, tensors)
+}
+
+/// The same keys with the same values, and the same tensors with the same numbers.
+#[test]
+fn a_pair_says_what_the_pair_of_llama_cpps_converter_says() {
+    const OUTPUT: &str = "output.weight";
+    /// llama.cpp's converter writes the decoder's width there (`conversion/qwenvl.py`).
+    const WRONG: [(&str, &str); 1] = [("tiny_qwen2_vl", "clip.vision.feed_forward_length")];
+    for (name, layout) in PAIRS {
+        let prompts = Prompts::from_fixture(name);
+        let (_own, model) = written(prompts.in_layout(layout).path(), WeightFormat::F32);
+        let theirs = prompts.folder.join("gguf/model.gguf");
+        for (own, their) in [
+            (model.clone(), theirs.clone()),
+            (tower_path(&model), tower_path(&theirs)),
+        ] {
+            let ((own, tensors), (their, mut expected)) = (numbers(&own), numbers(&their));
+            let architecture = their.architecture().unwrap();
+            assert_eq!(own.architecture().unwrap(), architecture);
+            let prefix = format!("{architecture}.");
+            for (key, value) in &their.metadata {
+                let is_wrong = WRONG.contains(&(name, key));
+                if key.starts_with(&prefix) && !is_wrong {
+                    assert_eq!(
+                        own.metadata.get(key),
+                        Some(value),
+                        "{name}, {layout}: {key}"
+                    );
+                }
+            }
+            // The converter writes the output layer of a tied embedding once more.
+            if let Some(output) = expected
+                .get(OUTPUT)
+                .filter(|_| !tensors.contains_key(OUTPUT))
+            {
+                assert!(tensors["token_embd.weight"] == *output);
+                expected.remove(OUTPUT);
+            }
+            let names = |tensors: &BTreeMap<String, Vec<f32>>| -> Vec<String> {
+                tensors.keys().cloned().collect()
+            };
+            assert_eq!(names(&tensors), names(&expected), "{name}, {layout}");
+            for (tensor, expected) in &expected {
+                assert!(tensors[tensor] == *expected, "{name}, {layout}: {tensor}");
+                let sides = |header: &Header| -> Vec<usize> {
+                    let shape = header.tensors[tensor].shape.iter().copied();
+                    shape.filter(|side| *side != 1).collect()
+                };
+                assert_eq!(sides(&own), sides(&their), "{name}, {layout}: {tensor}");
+            }
+        }
+    }
+}
+
+/// A copy of a fixture with another value in a small file.
+fn changed(name: &str, file: &str, key: &str, value: Value) -> tempfile::TempDir {
+    let folder = Prompts::from_fixture(name).in_layout(".");
+    let path = folder.path().join(file);
+    let mut keys = read_json(&path).unwrap();
+    keys[key] = value;
+    fs::write(path, keys.to_string()).unwrap();
+    folder
+}
+
+#[test]
+fn images_that_are_not_cut_stay_whole_by_the_keys_alone() {
+    // Four tiles a side, which no key says of an image that is not cut.
+    let size = json!({"longest_edge": 64});
+    let folder = changed("tiny_smolvlm", "preprocessor_config.json", "size", size);
+    let path = folder.path().join("preprocessor_config.json");
+    let mut processor = read_json(&path).unwrap();
+    processor["do_image_splitting"] = json!(false);
+    fs::write(path, processor.to_string()).unwrap();
+    let (_own, model) = written(folder.path(), WeightFormat::F32);
+    without_packed_files(&model);
+    let from = ModelPlace::Folder(folder.path().to_path_buf());
+    assert_eq!(logits(&place(&model), None), logits(&from, None));
+}
+
+#[test]
+fn a_setting_without_a_key_becomes_a_file_for_this_program_and_is_named() {
+    let vision = |name: &str, key: &str, value: Value| {
+        let config = read_json(&Prompts::from_fixture(name).folder.join("config.json")).unwrap();
+        let mut vision = config["vision_config"].clone();
+        vision[key] = value;
+        changed(name, "config.json", "vision_config", vision)
+    };
+    let processor = "preprocessor_config.json";
+    for (folder, lacking) in [
+        (
+            vision("tiny_smolvlm", "hidden_act", json!("gelu")),
+            "another activation of the vision tower",
+        ),
+        (
+            changed("tiny_internvl3", processor, "use_thumbnail", json!(false)),
+            "tiles without the whole image behind them",
+        ),
+        (
+            changed("tiny_qwen3_vl", processor, "do_normalize", json!(false)),
+            "pixels that are not normalized",
+        ),
+        (
+            vision("tiny_qwen2_5_vl", "fullatt_block_indexes", json!([0, 3])),
+            "layers that attend to the whole image at uneven distances",
+        ),
+        (
+            vision("tiny_qwen2_5_vl", "window_size", json!(64)),
+            "windows of another size than 112 pixels",
+        ),
+    ] {
+        let own = tempfile::tempdir().unwrap();
+        let model = export(folder.path(), own.path(), WeightFormat::F32);
+        assert!(!tower_path(&model).is_file(), "{lacking}");
+        let from = ModelPlace::Folder(folder.path().to_path_buf());
+        assert_eq!(
+            logits(&place(&model), None),
+            logits(&from, None),
+            "{lacking}"
+        );
+    }
+}
