@@ -79,6 +79,9 @@ fn apart(ours: &[f32], theirs: &[f32]) -> [f64; 2] {
     [difference / most, 1.0 - product / lengths]
 }
 
+/// The logits behind a prompt, and the tokens that follow.
+pub(super) type Answered = (Vec<f32>, Vec<u32>);
+
 impl Agreement {
     /// Compares answers, ours and theirs to each prompt.
     ///
