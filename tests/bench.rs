@@ -383,46 +383,35 @@ fn fixture(name: &str) -> String {
 #[test]
 fn both_engines_see_the_same_picture_in_pairs_of_this_program() -> Needy {
     let python = llama_python(&["llama_cpp"])?;
-    // llama.cpp enlarges the pictures of SmolVLM by another filter.
-    for (name, tokens, most) in [
-        ("tiny_smolvlm", 40, 0.1),
-        ("tiny_internvl3", 4, 0.01),
-        ("tiny_qwen3_vl", 9, 0.01),
-        ("tiny_qwen2_5_vl", 9, 0.01),
-        ("tiny_qwen2_vl", 9, 0.01),
-        ("tiny_gemma3", 9, 0.01),
+    let size = ["--image-size", "64"];
+    for (name, size, tokens) in [
+        ("tiny_smolvlm", &[][..], 40),
+        ("tiny_internvl3", &[], 4),
+        ("tiny_qwen3_vl", &size, 16),
+        ("tiny_qwen2_5_vl", &size, 16),
+        ("tiny_qwen2_vl", &size, 16),
+        ("tiny_gemma3", &[], 9),
     ] {
         let work = TempDir::new().unwrap();
         let folder = fixture(name);
-        let arguments = [
-            &folder,
-            "--quantize",
-            "f32",
-            "--calls",
-            "compact",
-            "--warm-up",
-            "0",
-            "--iterations",
-            "1",
-            "--vs",
-            "llama.cpp",
-            "--llama-python",
-            &python,
-        ];
+        let model = [&folder, "--quantize", "f32", "--calls", "compact"];
+        let once = ["--warm-up", "0", "--iterations", "1"];
+        let versus = ["--vs", "llama.cpp", "--llama-python", &python];
+        let arguments = [&model[..], size, &once, &versus].concat();
         let (code, figures) = bench(&arguments, &work.path().join("bench"));
         assert_eq!(code, 0, "{name}: {figures}");
         let found = &figures["agreements"][0];
         let picture = &found["picture"];
-        println!("{name}: {found}");
         assert_eq!(
             picture["tokens"],
             serde_json::json!([tokens, tokens]),
             "{name}: {found}"
         );
-        assert!(
-            picture["apart"][0].as_f64().unwrap() < most,
-            "{name}: {found}"
-        );
+        // llama.cpp 0.3.36 gives a patch of a tower with a class token the position of the one
+        // before it.
+        let is_shifted = name == "tiny_internvl3";
+        let apart = picture["apart"][0].as_f64().unwrap();
+        assert!(is_shifted || apart < 0.01, "{name}: {found}");
         assert!(found["largest"].as_f64().unwrap() < 0.02, "{name}: {found}");
     }
     Ok(())

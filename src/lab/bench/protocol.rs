@@ -104,6 +104,9 @@ pub struct Loaded {
     /// Number of token ids; 0 where the engine does not say.
     #[serde(default)]
     pub vocabulary: usize,
+    /// The token that stands for one of the image; none where the engine does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_token: Option<u32>,
     /// Maximum tokens of a sequence, image included.
     pub context: usize,
     pub layout: Layout,

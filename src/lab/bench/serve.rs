@@ -189,6 +189,7 @@ fn load(
         image_side: info.image_size.map_or(0, |side| side as u32),
         image_tokens,
         vocabulary: info.vocabulary,
+        image_token: Some(info.image_token),
         context: model.context(image_tokens),
         layout: if info.image_first {
             Layout::ImageFirst
