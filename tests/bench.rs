@@ -394,7 +394,7 @@ fn both_engines_see_the_same_picture_in_pairs_of_this_program() -> Needy {
     ] {
         let work = TempDir::new().unwrap();
         let folder = fixture(name);
-        let model = [&folder, "--quantize", "f32", "--calls", "compact"];
+        let model = [folder.as_str(), "--quantize", "f32", "--calls", "compact"];
         let once = ["--warm-up", "0", "--iterations", "1"];
         let versus = ["--vs", "llama.cpp", "--llama-python", &python];
         let arguments = [&model[..], size, &once, &versus].concat();
