@@ -340,6 +340,7 @@ impl RoundedKernel<'_> {
             .0;
         let factors: [f32; R] =
             std::array::from_fn(|r| self.queries.scales[row + r] * block.key_scale);
+        // As many sums at once as the registers hold.
         let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
         let mut column = 0;
         while column < KEY_VECTORS {
@@ -450,6 +451,7 @@ fn weigh<S: Simd, const R: usize>(
         let top = max_score[r].max(simd.max_lane(most));
         growth[r] = (max_score[r] - top) * std::f32::consts::LN_2;
         max_score[r] = top;
+        // Of the rounded weights, since these multiply the values.
         let mut sum = simd.ints(0);
         for (pairs, [low, high]) in weights[r].iter_mut().zip(scores[r].as_chunks::<2>().0) {
             let both = simd.pair(weight(simd, low, top), weight(simd, high, top));
