@@ -145,7 +145,7 @@ fn parts(
         Ok(described) => described,
         Err(lacking) => {
             checkpoint.weights.note(format!(
-                "no pair for llama.cpp is written with {lacking}: the file is for this program alone"
+                "no pair for llama.cpp is written ({lacking}): the file is for this program alone"
             ));
             let mut metadata = [general(WHOLE_MODEL), packed].concat();
             if checkpoint.weights.heads_are_tiled() {
