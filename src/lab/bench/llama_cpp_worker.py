@@ -93,7 +93,7 @@ class Model:
         self.side = self.image_tokens = 0
         self.vision, self.features = None, []
         if files["projector"]:
-            self.load_vision(files["projector"], request["threads"], request["like"]["image_side"])
+            self.load_vision(files["projector"], request["threads"], request["like"])
         self.load_s = (now_ms() - start) / 1e3
 
     def quieten(self):
@@ -111,7 +111,7 @@ class Model:
         self.vision_api.mtmd_log_set(log, nothing)
         self.vision_api.mtmd_helper_log_set(log, nothing)
 
-    def load_vision(self, projector, threads, side):
+    def load_vision(self, projector, threads, like):
         api = self.vision_api
         settings = api.mtmd_context_params_default()
         settings.use_gpu = False
@@ -120,8 +120,8 @@ class Model:
         self.vision = api.mtmd_init_from_file(projector.encode(), self.model, settings)
         if not self.vision:
             raise Problem(f"{projector} cannot be loaded")
-        self.side = side
-        self.bitmap = self.bitmap_of(self.words.randbytes(3 * side * side), side)
+        self.side, self.wanted_tokens = like["image_side"], like["image_tokens"]
+        self.bitmap = self.bitmap_of(self.words.randbytes(3 * self.side * self.side), self.side)
         self.chunks = None
         self.preprocess()
         self.image_tokens = sum(api.mtmd_input_chunk_get_n_tokens(chunk) for chunk in self.image_chunks())
@@ -162,7 +162,20 @@ class Model:
     def image_chunks(self):
         api = self.vision_api
         chunks = (api.mtmd_input_chunks_get(self.chunks, i) for i in range(api.mtmd_input_chunks_size(self.chunks)))
-        return [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
+        views = [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
+        return self.last_views(views)
+
+    def last_views(self, views):
+        """The last views with as many tokens as the other engine makes of the image, else all.
+
+        llama.cpp cuts a picture of SmolVLM even where it is one view: into a tile, and the whole picture behind it.
+        """
+        tokens = 0
+        for first in range(len(views) - 1, -1, -1):
+            tokens += self.vision_api.mtmd_input_chunk_get_n_tokens(views[first])
+            if tokens == self.wanted_tokens:
+                return views[first:]
+        return views
 
     def encode(self):
         if not self.vision:

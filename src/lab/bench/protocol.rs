@@ -50,6 +50,9 @@ pub struct Like {
     pub context: usize,
     /// Side of the square image, pixels.
     pub image_side: u32,
+    /// Tokens of the image. An engine that makes more shows the last views that make so many, if
+    /// there are such.
+    pub image_tokens: usize,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -182,6 +182,7 @@ impl Bench<'_> {
                 let Loaded {
                     context,
                     image_side,
+                    image_tokens,
                     ..
                 } = ours.loaded;
                 let mut theirs = self.load(
@@ -189,6 +190,7 @@ impl Bench<'_> {
                     Some(Like {
                         context,
                         image_side,
+                        image_tokens,
                     }),
                 )?;
                 // llama.cpp reports these for the decoder only; the files are the same.
