@@ -177,6 +177,7 @@ impl Bench<'_> {
         match &self.settings.versus {
             None => engines.push(self.load(self.own()?, None)?),
             Some(other) => {
+                workloads.splice(0..0, DEPTHS.map(Workload::Depth));
                 let ours = self.load(self.own()?, None)?;
                 let theirs = other.start(self.program)?;
                 let Loaded {
@@ -185,10 +186,12 @@ impl Bench<'_> {
                     image_tokens,
                     ..
                 } = ours.loaded;
+                let longest = workloads.iter().map(|load| load.longest(image_tokens));
                 let mut theirs = self.load(
                     theirs,
                     Some(Like {
-                        context,
+                        // llama.cpp takes the memory of the whole context at once.
+                        context: context.min(longest.max().unwrap_or(context)),
                         image_side,
                         image_tokens,
                     }),
@@ -200,7 +203,6 @@ impl Bench<'_> {
                     theirs.loaded.weight_format = format;
                 }
                 engines.extend([ours, theirs]);
-                workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
         }
         let own = engines.first_mut().expect("the own engine comes first");
