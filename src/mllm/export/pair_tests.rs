@@ -7,6 +7,7 @@ use crate::gguf::{FILE, Header, open_header, tower_path};
 use crate::local::test_prompts::{Prompts, is_unsplit};
 use crate::source::ModelPlace;
 use planagent_kernels::matrix::WeightFormat;
+use safetensors::{SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -221,4 +222,41 @@ fn a_setting_without_a_key_becomes_a_file_for_this_program_and_is_named() {
             "{lacking}"
         );
     }
+}
+
+/// Writes a folder's weights anew, with the tower's projections to queries, keys and values as three
+/// tensors each, as random weights have them.
+fn take_projections_apart(folder: &Path) {
+    let path = folder.join("model.safetensors");
+    let bytes = fs::read(&path).unwrap();
+    let mut tensors = Vec::new();
+    for (name, view) in SafeTensors::deserialize(&bytes).unwrap().tensors() {
+        let (mut shape, data) = (view.shape().to_vec(), view.data());
+        if !name.contains(".attn.qkv.") {
+            tensors.push((name, view.dtype(), shape, data.to_vec()));
+            continue;
+        }
+        shape[0] /= 3;
+        let parts = ["q_proj", "k_proj", "v_proj"];
+        for (part, rows) in parts.iter().zip(data.chunks_exact(data.len() / 3)) {
+            let name = name.replace("qkv", part);
+            tensors.push((name, view.dtype(), shape.clone(), rows.to_vec()));
+        }
+    }
+    let views = tensors.iter().map(|(name, dtype, shape, data)| {
+        let view = TensorView::new(*dtype, shape.clone(), data).unwrap();
+        (name.clone(), view)
+    });
+    serialize_to_file(views, None, &path).unwrap();
+}
+
+#[test]
+fn projections_that_llama_cpp_has_in_one_tensor_are_joined() {
+    let folder = Prompts::from_fixture("tiny_qwen3_vl").in_layout(".");
+    let (_own, expected) = written(folder.path(), WeightFormat::Q8_0);
+    take_projections_apart(folder.path());
+    let (_other, model) = written(folder.path(), WeightFormat::Q8_0);
+    let [own, other] = [&expected, &model].map(|model| File::read(&tower_path(model)));
+    assert!(own.tensors.contains_key("v.blk.0.attn_qkv.weight"));
+    assert_eq!(other_tensors(&other, &own), [] as [&str; 0]);
 }

@@ -32,6 +32,8 @@ pub(super) enum Share {
     Whole,
     /// One of three equal runs of rows.
     Third(usize),
+    /// The rows of this projection to queries, then those of the projections to keys and values.
+    Fused,
     /// The kernel of one of two frames, which are the third axis; each has these sides.
     Frame(usize, [usize; 4]),
 }
@@ -115,10 +117,16 @@ impl Part {
         // A tensor is taken once, and its shares follow one another.
         let mut taken: Option<(&str, Vec<u8>)> = None;
         for (tensor, source) in self.layout.tensors.iter().zip(&self.sources) {
-            let whole = match taken.take() {
+            let mut whole = match taken.take() {
                 Some((name, whole)) if name == source.canonical => whole,
                 _ => source.data(weights, self.norm_offset)?,
             };
+            if source.share == Share::Fused {
+                for part in [KEYS, VALUES] {
+                    let other = source.with_name(source.canonical.replace(QUERIES, part));
+                    whole.extend(other.data(weights, self.norm_offset)?);
+                }
+            }
             let paired_rows = self.heads.and_then(|heads| heads.for_tensor(&tensor.name));
             match (source.share.cut(&whole), paired_rows) {
                 (Some(share), _) => write(tensor, &share)?,
@@ -128,7 +136,7 @@ impl Part {
                 }
                 (None, None) => write(tensor, &whole)?,
             }
-            if source.share != Share::Whole {
+            if matches!(source.share, Share::Third(_) | Share::Frame(..)) {
                 taken = Some((source.canonical.as_str(), whole));
             }
         }
@@ -137,6 +145,15 @@ impl Part {
 }
 
 impl Source {
+    /// A tensor of the same shape.
+    fn with_name(&self, canonical: String) -> Self {
+        Self {
+            canonical,
+            shape: self.shape.clone(),
+            share: Share::Whole,
+        }
+    }
+
     /// The bytes of the whole tensor in its format.
     fn data(&self, weights: &mut Weights, norm_offset: f32) -> Result<Vec<u8>, MllmError> {
         let mut bytes = Vec::new();
@@ -176,6 +193,13 @@ impl Share {
                 }
                 shape
             }
+            Self::Fused => {
+                let mut shape = whole.to_vec();
+                if let Some(rows) = shape.first_mut() {
+                    *rows *= 3;
+                }
+                shape
+            }
             Self::Frame(_, sides) => sides.to_vec(),
         }
     }
@@ -190,7 +214,7 @@ impl Share {
                 .to_vec()
         };
         match self {
-            Self::Whole => None,
+            Self::Whole | Self::Fused => None,
             Self::Third(at) => Some(nth(whole, at, 3)),
             Self::Frame(at, [outputs, channels, ..]) => {
                 let both = whole.len() / (outputs * channels).max(1);
@@ -200,6 +224,12 @@ impl Share {
         }
     }
 }
+
+/// The projections of a tower's layer, in their names.
+const QUERIES: &str = ".q_proj.";
+const KEYS: &str = ".k_proj.";
+const VALUES: &str = ".v_proj.";
+const ALL: &str = ".qkv.";
 
 /// The kernel of patches, which a checkpoint has for two frames at once.
 const PATCHES: &str = "vision_tower.embeddings.patch_embedding.weight";
@@ -216,11 +246,20 @@ pub(super) fn tower_names(
         let name = layout.gguf_name(name)?;
         Some((numbered(name, &tower.deep_layers), share))
     };
-    if let Some((layer, kind)) = canonical.split_once(".qkv.").filter(|_| tower.apart) {
-        let parts = ["q_proj", "k_proj", "v_proj"].into_iter().enumerate();
+    if tower.fused == Some(false) && canonical.contains(ALL) {
+        let parts = [QUERIES, KEYS, VALUES].into_iter().enumerate();
         return parts
-            .filter_map(|(at, part)| named(&format!("{layer}.{part}.{kind}"), Share::Third(at)))
+            .filter_map(|(at, part)| named(&canonical.replace(ALL, part), Share::Third(at)))
             .collect();
+    }
+    if tower.fused == Some(true) && is_of_tower(canonical) {
+        if canonical.contains(QUERIES) {
+            let fused = named(&canonical.replace(QUERIES, ALL), Share::Fused);
+            return fused.into_iter().collect();
+        }
+        if [KEYS, VALUES].iter().any(|part| canonical.contains(part)) {
+            return Vec::new();
+        }
     }
     if let Some(sides) = frame_sides(shape).filter(|_| canonical == PATCHES)
         && layout.gguf_name(SECOND).is_some()
@@ -231,6 +270,10 @@ pub(super) fn tower_names(
             .collect();
     }
     named(canonical, Share::Whole).into_iter().collect()
+}
+
+fn is_of_tower(canonical: &str) -> bool {
+    canonical.starts_with("vision_tower.")
 }
 
 /// The sides of the kernel of one frame in a kernel of two, whose axes of channels and frames a file

@@ -108,9 +108,9 @@ pub struct Description {
 /// What a file of llama.cpp says of a vision tower, and how it holds the tensors.
 pub struct TowerDescription {
     pub metadata: Entries,
-    /// Whether projections to queries, keys and values are three tensors where a checkpoint has
-    /// one.
-    pub apart: bool,
+    /// Whether the projections to queries, keys and values are one tensor or three, whatever a
+    /// checkpoint has; none where they are written as it has them.
+    pub fused: Option<bool>,
     /// The tower's layer by which a merger of an early layer is counted, at its own number.
     pub deep_layers: Vec<usize>,
 }
@@ -120,7 +120,7 @@ impl TowerDescription {
     pub(crate) fn plain(metadata: Entries) -> Self {
         Self {
             metadata,
-            apart: false,
+            fused: None,
             deep_layers: Vec::new(),
         }
     }
@@ -128,7 +128,7 @@ impl TowerDescription {
     /// A tower whose file has projections to queries, keys and values apart.
     pub(crate) fn apart(metadata: Entries) -> Self {
         Self {
-            apart: true,
+            fused: Some(false),
             ..Self::plain(metadata)
         }
     }

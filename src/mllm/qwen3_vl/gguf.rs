@@ -252,7 +252,7 @@ fn with_deep_layers(mut described: Description, config: &Qwen3VlConfig) -> Descr
         let flags = (0..config.vision.layers).map(|layer| config.deep.contains(&layer));
         let flags = flags.collect::<Vec<_>>();
         tower.metadata.push((DEEP_LAYERS.to_owned(), json!(flags)));
-        tower.apart = false;
+        tower.fused = Some(true);
         tower.deep_layers.clone_from(&config.deep);
     }
     described
