@@ -83,7 +83,13 @@ impl MemoryNeed {
         let states = float
             .saturating_mul(kept)
             .saturating_mul(own.layers.min(shapes().count()) as u64);
-        let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
+        // A layer has those before, those it predicts and those it corrects at once.
+        let further = decoder
+            .streams
+            .as_ref()
+            .map_or(0, |streams| 3 * (streams.count - 1));
+        let alive = (ROWS.0 + further as u64) * width(decoder.hidden)
+            + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
             cache: (2 * key_value * tokens)
