@@ -124,7 +124,7 @@ fn deviations_above(part: f64) -> f64 {
 
 /// The part of a normal distribution that lies below so many deviations above its mean.
 pub(crate) fn part_below(deviations: f64) -> f64 {
-    (1.0 + erf::erf_f64(deviations / SQRT_2)) / 2.0
+    f64::midpoint(1.0, erf::erf_f64(deviations / SQRT_2))
 }
 
 #[cfg(test)]
