@@ -60,7 +60,9 @@ fn with_random_weights(folder: &Path, seed: u64) {
     let tensors = SafeTensors::deserialize(&bytes).unwrap();
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut values: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
-    for (name, tensor) in tensors.tensors() {
+    // Sorted, so that a seed draws the same weights in each process: the reader's order is that of a hash map.
+    let sorted: BTreeMap<_, _> = tensors.tensors().into_iter().collect();
+    for (name, tensor) in sorted {
         let shape = tensor.shape().to_vec();
         let inputs: usize = shape.iter().skip(1).product();
         let range = (3.0 / inputs as f32).sqrt();

@@ -33,6 +33,11 @@ impl Linear {
         }
     }
 
+    /// Whether products round their inputs, to 8 bits in blocks.
+    pub fn rounds_inputs(&self) -> bool {
+        self.weight.weight_format().block() > 1
+    }
+
     /// Numbers of a row of the result.
     pub fn outputs(&self) -> usize {
         self.weight.outputs()

@@ -192,6 +192,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent models quantize SmolLM2-135M-Instruct.Q4_1.gguf --to f32 --out SmolLM2-f32.gguf",
+        WEIGHTS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent models quantize SmolLM2-f32.gguf --to q8_0 --out SmolLM2-q8_0.gguf",
+        WEIGHTS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench SmolLM2-135M-Instruct.Q4_1.gguf --vs llama.cpp --calls brief --warm-up 1 --iterations 3 --trust-model",
         HOURS,
     ),

@@ -17,6 +17,7 @@ mod probe;
 mod projected;
 mod rope;
 mod rotary;
+mod rounded;
 mod unit;
 
 #[cfg(test)]
@@ -32,6 +33,7 @@ pub use projected::{HeadShape, Projected};
 pub use rope::{Rope, RopeScaling, RotarySections, Yarn};
 pub use rotary::{Position, position_end};
 pub use rotary::{RotaryEmbedding, RotaryRows};
+pub use rounded::attend_rounded;
 
 use super::Work;
 use super::matrix::Instructions;
@@ -71,7 +73,11 @@ pub fn attend(
             "{tokens} tokens of {shape:?} cannot attend by {mask:?} to {capacity} positions of {cached:?}"
         );
     }
-    count(shape, held, (0..tokens).map(|token| mask.seen_by(token)));
+    count(
+        shape,
+        held.number_bytes(),
+        (0..tokens).map(|token| mask.seen_by(token)),
+    );
     let partial = mix(rows, held, mask, Instructions::best());
     Tensor::from_vec(
         partial,
@@ -82,13 +88,13 @@ pub fn attend(
 
 /// Counts an attention by the positions that each token sees: the products with keys and values, and
 /// the keys and values that the last token sees.
-fn count(shape: HeadShape, held: &KeyValues, seen: impl Iterator<Item = Range<usize>>) {
+fn count(shape: HeadShape, number_bytes: usize, seen: impl Iterator<Item = Range<usize>>) {
     let (mut pairs, mut last) = (0, 0);
     for positions in seen {
         last = positions.len();
         pairs += last;
     }
-    let bytes = 2 * last * shape.key_heads * shape.width * held.number_bytes();
+    let bytes = 2 * last * shape.key_heads * shape.width * number_bytes;
     Work::count(2 * pairs, shape.query_heads, shape.width, bytes);
 }
 

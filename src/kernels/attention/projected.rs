@@ -109,6 +109,10 @@ impl<'a> Projected<'a> {
         self.values.len() / self.row
     }
 
+    pub(super) fn are_finite(&self) -> bool {
+        self.values.iter().all(|value| value.is_finite())
+    }
+
     /// Whether the rows have keys and values beside their queries.
     pub(super) fn has_keys(&self) -> bool {
         self.row == self.shape.row()

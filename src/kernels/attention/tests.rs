@@ -1,8 +1,10 @@
 //! Attention compared with plain sums in f64.
 
 use super::key_values::BLOCK_POSITIONS;
+use super::rounded::mix_rounded;
 use super::{
-    AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix,
+    AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend,
+    attend_rounded, mix,
 };
 use crate::matrix::Instructions;
 use candle_core::{DType, Device, Tensor};
@@ -362,4 +364,55 @@ fn shapes_that_do_not_fit_are_errors() {
     assert!(table.rows(&[[0, context as u32, 0]], 0).is_err());
     let angles = table.rows(&[[0; 3], [1; 3]], 0).unwrap();
     assert!(Projected::read(&rows, shape, Some(&angles), |_| Ok(())).is_err());
+}
+
+#[test]
+fn rounded_attention_is_near_the_definition_and_its_sums_are_exact() {
+    // Widths of towers, an odd one, and more positions than a block; groups of query heads too.
+    for (width, heads, groups, tokens) in [
+        (64, 2, 1, 130),
+        (72, 1, 1, 64),
+        (80, 2, 1, 7),
+        (15, 3, 1, 65),
+        (128, 1, 2, 1),
+    ] {
+        let shape = HeadShape {
+            query_heads: heads * groups,
+            key_heads: heads,
+            width,
+        };
+        let all = projections(tokens, shape, 2.0, tokens as u64);
+        let mask = AttentionMask::All { positions: tokens };
+        let expected = plain(&all, shape, tokens, Precision::Single, mask);
+        for instructions in Instructions::available() {
+            let found = with(&all, shape, |rows| mix_rounded(rows, instructions));
+            let apart = difference(&found, &expected);
+            assert!(
+                apart < 1.5e-3,
+                "{shape:?}, {tokens} tokens, {instructions:?}: {apart}"
+            );
+        }
+    }
+}
+
+#[test]
+fn rounded_attention_passes_on_what_is_not_finite_and_takes_zeros() {
+    let shape = HeadShape {
+        query_heads: 1,
+        key_heads: 1,
+        width: 16,
+    };
+    let zeros = Tensor::zeros((3, shape.row()), DType::F32, &Device::Cpu).unwrap();
+    let out = with(&zeros, shape, attend_rounded).unwrap();
+    assert_eq!(out.to_vec2::<f32>().unwrap(), vec![vec![0.0; 16]; 3]);
+    let broken = (zeros + f64::NAN).unwrap();
+    let out = with(&broken, shape, attend_rounded).unwrap();
+    assert!(
+        out.flatten_all()
+            .unwrap()
+            .to_vec1::<f32>()
+            .unwrap()
+            .iter()
+            .all(|v| v.is_nan())
+    );
 }

@@ -11,9 +11,9 @@ use std::sync::Arc;
 /// rows.
 const MIN_WIDENED_ROWS: usize = 16;
 /// Minimum registers for the sums of six rows and four vectors, their factors, and a spare.
-const MIN_TILE_REGISTERS: usize = 32;
+pub(super) const MIN_TILE_REGISTERS: usize = 32;
 /// Key vectors of a block and channel.
-const KEY_VECTORS: usize = BLOCK_POSITIONS / LANES;
+pub(super) const KEY_VECTORS: usize = BLOCK_POSITIONS / LANES;
 
 /// The queries of some tokens and one key head, and some of the positions.
 #[derive(Debug)]
@@ -31,10 +31,10 @@ pub(super) struct WorkUnit<'a, N> {
 /// maximum score), and the sum of the values with these weights.
 #[derive(Debug)]
 pub(super) struct PartialOutput {
-    max_score: Vec<f32>,
-    weight_sum: Vec<f32>,
+    pub(super) max_score: Vec<f32>,
+    pub(super) weight_sum: Vec<f32>,
     /// (rows, padded head width)
-    values: Vec<[f32; LANES]>,
+    pub(super) values: Vec<[f32; LANES]>,
 }
 
 /// Keys of a head in a block, (head width, vectors of positions), and its values, (positions,
@@ -48,7 +48,7 @@ struct HeadBlock<'a, N> {
 }
 
 /// Scores of rows in a block, later their weights.
-type Scores<const R: usize> = [[[f32; LANES]; KEY_VECTORS]; R];
+pub(super) type Scores<const R: usize> = [[[f32; LANES]; KEY_VECTORS]; R];
 
 struct WorkUnitKernel<'a, N> {
     unit: &'a WorkUnit<'a, N>,
@@ -241,7 +241,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
 }
 
 /// How many of the remaining rows are computed together.
-fn rows_at_once(rows: usize) -> usize {
+pub(super) fn rows_at_once(rows: usize) -> usize {
     match rows {
         6.. => 6,
         4 | 5 => 4,
@@ -394,7 +394,7 @@ fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
 }
 
 impl PartialOutput {
-    fn new(rows: usize, vectors: usize) -> Self {
+    pub(super) fn new(rows: usize, vectors: usize) -> Self {
         Self {
             max_score: vec![f32::NEG_INFINITY; rows],
             weight_sum: vec![0.0; rows],

@@ -189,9 +189,14 @@ fn asked_for(
 ) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = at_least(asked, role);
     match held_as(format) {
-        // A matrix that was rounded to few bits gains nothing from more, and loses by as many in
-        // another format.
-        Some(held) if held.block() > 1 && held != wanted && held.bits() <= wanted.bits() => {
+        // A matrix that was rounded to few bits gains nothing from other blocks of more bits, and
+        // loses by as many. Written out as plain numbers, it loses nothing.
+        Some(held)
+            if held.block() > 1
+                && wanted.block() > 1
+                && held != wanted
+                && held.bits() <= wanted.bits() =>
+        {
             (held, Some("the file has no more bits"))
         }
         _ => (wanted, reason),
@@ -367,10 +372,11 @@ mod tests {
             WeightFormat::Q4_0
         );
         assert_eq!(
-            again(WeightFormat::F32)
-                .matrix(DECODER, GgmlDType::Q4_0, 512)
-                .weight_format,
-            WeightFormat::Q4_0
+            again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512),
+            PlannedFormat {
+                weight_format: WeightFormat::F32,
+                reason: None
+            }
         );
         assert_eq!(
             again(WeightFormat::Q4K)

@@ -7,6 +7,7 @@
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
 use crate::checkpoint::TowerType;
+use crate::families::Families;
 use crate::family::{ImageFeatures, VisionLanguageModel};
 use crate::local::LocalModel;
 use crate::local::test_faults::{
@@ -16,7 +17,10 @@ use crate::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits,
     difference, feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
+use crate::source::{Checkpoint, ModelPlace};
 use crate::vision::ClipImageProcessor;
+use candle_core::Tensor;
+use planagent_kernels::matrix::WeightFormat;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -120,6 +124,45 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let found = logits_deviation(&model, &ids, &features, reference.tensor("logits"));
     assert!(found < LOGIT_TOLERANCE, "the logits differ by {found}");
     assert!(LocalModel::open("nano", &folder).is_ok());
+}
+
+/// Eight bits of weights and of products' inputs, and attention in sixteen, on trained weights.
+#[test]
+fn features_of_a_quantized_tower_are_near_those_in_f32() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
+    let image = image::open(fixture("nano_reference").join("image.png"))
+        .unwrap()
+        .into_rgb8();
+    let features = |quantize| {
+        let mut checkpoint = Checkpoint::open(
+            &ModelPlace::Folder(folder.clone()),
+            quantize,
+            &Families::default(),
+        )
+        .unwrap();
+        let model = Llava::open(&checkpoint.files, &mut checkpoint.weights).unwrap();
+        model.encode_image(&image).unwrap().rows
+    };
+    let (exact, rounded) = (features(None), features(Some(WeightFormat::Q8_0)));
+    let apart = feature_difference(&rounded, &exact);
+    let dot = |a: &Tensor, b: &Tensor| {
+        (a * b)
+            .unwrap()
+            .sum_all()
+            .unwrap()
+            .to_scalar::<f32>()
+            .unwrap()
+    };
+    let cosine = dot(&exact, &rounded) / (dot(&exact, &exact) * dot(&rounded, &rounded)).sqrt();
+    println!(
+        "features differ by {apart:.1e}, cosine distance {:.1e}",
+        1.0 - cosine
+    );
+    assert!(
+        apart > 0.0 && apart < 2e-2,
+        "the features differ by {apart}"
+    );
+    assert!(1.0 - cosine < 1e-3, "the cosine is {cosine}");
 }
 
 #[test]

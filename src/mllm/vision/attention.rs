@@ -5,7 +5,7 @@ use crate::checkpoint::Weights;
 use candle_core::{Result, Tensor};
 use planagent_kernels::Linear;
 use planagent_kernels::attention::{
-    AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend,
+    AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend, attend_rounded,
 };
 
 /// Attention among the tokens of each part of a batch. Query, key and value projections are one
@@ -91,6 +91,10 @@ impl SelfAttention {
         for Part { tokens, rotary } in parts {
             let rows = qkv.narrow(0, first, *tokens)?;
             mixed.push(Projected::read(&rows, shape, rotary.as_ref(), |rows| {
+                // Where products round their inputs anyway, f32 would keep nothing.
+                if self.qkv.rounds_inputs() {
+                    return attend_rounded(rows);
+                }
                 let mut held = KeyValues::new(shape, Precision::Single);
                 held.write(rows, 0)?;
                 attend(rows, &held, AttentionMask::All { positions: *tokens })

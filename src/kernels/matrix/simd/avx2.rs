@@ -102,6 +102,10 @@ impl Simd for Avx2 {
                 _mm256_add_epi32(sum, _mm256_madd_epi16(weights, _mm256_set1_epi32(activations)))
             });
         load_ints(values: &[i32; LANES]) -> Ints = both(halves(values), |start| _mm256_loadu_si256(start.cast()));
+        to_ints(values: Floats) -> Ints = both(values, |values| _mm256_cvtps_epi32(values));
+        pair(low: Ints, high: Ints) -> Ints = both_of_three(low, high, high, |low, high, _| {
+            _mm256_blend_epi16::<0xaa>(low, _mm256_slli_epi32::<16>(high))
+        });
         to_floats(values: Ints) -> Floats = both(values, |values| _mm256_cvtepi32_ps(values));
         floats(value: f32) -> Floats = [_mm256_set1_ps(value); 2];
         load(values: &[f32; LANES]) -> Floats = both(halves(values), |start| _mm256_loadu_ps(start));
@@ -142,6 +146,16 @@ impl Simd for Avx2 {
         unsafe {
             _mm256_storeu_ps(out.as_mut_ptr(), values[0]);
             _mm256_storeu_ps(out.as_mut_ptr().add(8), values[1]);
+        }
+    }
+
+    #[inline(always)]
+    fn store_ints(self, values: Ints, out: &mut [i32; LANES]) {
+        let start = out.as_mut_ptr();
+        // SAFETY: as above.
+        unsafe {
+            _mm256_storeu_si256(start.cast(), values[0]);
+            _mm256_storeu_si256(start.add(8).cast(), values[1]);
         }
     }
 

@@ -82,8 +82,14 @@ pub trait Simd: Copy + Send + Sync {
     fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints;
     /// Loads 16 integers.
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints;
+    /// Writes 16 integers.
+    fn store_ints(self, values: Self::Ints, out: &mut [i32; LANES]);
     /// The integers as floats.
     fn to_floats(self, values: Self::Ints) -> Self::Floats;
+    /// The nearest integers, ties to even, of floats that have one in i32.
+    fn to_ints(self, values: Self::Floats) -> Self::Ints;
+    /// Lanes of two i16: the low halves of `low` and `high`.
+    fn pair(self, low: Self::Ints, high: Self::Ints) -> Self::Ints;
 
     /// The same number in every lane.
     fn floats(self, value: f32) -> Self::Floats;

@@ -207,6 +207,8 @@ impl Simd for Neon {
             vaddq_s32(sum, vpaddq_s32(low, vmull_high_s16(weights, activations)))
         });
         load_ints(values: &[i32; LANES]) -> Ints = each(quarters(values), |start| vld1q_s32(start));
+        to_ints(values: Floats) -> Ints = each(values, |values| vcvtnq_s32_f32(values));
+        pair(low: Ints, high: Ints) -> Ints = each_of_two(low, high, |low, high| vsliq_n_s32::<16>(low, high));
         to_floats(values: Ints) -> Floats = each(values, |values| vcvtq_f32_s32(values));
         floats(value: f32) -> Floats = [vdupq_n_f32(value); 4];
         load(values: &[f32; LANES]) -> Floats = each(quarters(values), |start| vld1q_f32(start));
@@ -247,6 +249,14 @@ impl Simd for Neon {
         for (part, values) in out.as_chunks_mut::<4>().0.iter_mut().zip(values) {
             // SAFETY: as above.
             unsafe { vst1q_f32(part.as_mut_ptr(), values) };
+        }
+    }
+
+    #[inline(always)]
+    fn store_ints(self, values: Ints, out: &mut [i32; LANES]) {
+        for (part, values) in out.as_chunks_mut::<4>().0.iter_mut().zip(values) {
+            // SAFETY: as above.
+            unsafe { vst1q_s32(part.as_mut_ptr(), values) };
         }
     }
 

@@ -116,6 +116,21 @@ impl Simd for Portable {
     }
 
     #[inline]
+    fn store_ints(self, values: [i32; LANES], out: &mut [i32; LANES]) {
+        *out = values;
+    }
+
+    #[inline]
+    fn to_ints(self, values: [f32; LANES]) -> [i32; LANES] {
+        values.map(|value| value.round_ties_even() as i32)
+    }
+
+    #[inline]
+    fn pair(self, low: [i32; LANES], high: [i32; LANES]) -> [i32; LANES] {
+        std::array::from_fn(|lane| low[lane] & 0xffff | high[lane] << 16)
+    }
+
+    #[inline]
     fn to_floats(self, values: [i32; LANES]) -> [f32; LANES] {
         values.map(|value| value as f32)
     }
