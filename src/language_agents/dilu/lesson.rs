@@ -8,6 +8,7 @@ use crate::memory::DiluItem;
 use minijinja::context;
 use planagent_agent::planner::{AskedModel, PlannerError, PlanningCall};
 use planagent_agent::reasoning::{DrivingAction, PlannerAnswer, ReasoningError, RoundName};
+use planagent_files::shortened;
 use planagent_mllm::Deadline;
 
 /// Of a drive without an accident, every fifth decision is remembered, from the first on.
@@ -43,7 +44,8 @@ impl Drive {
             let Some(PlannerAnswer::Action(action)) = attempt.answer else {
                 return None;
             };
-            let answer = attempt.rounds.first()?.answer.clone();
+            let first = &attempt.rounds.first()?.answer;
+            let answer = with_action(first, action);
             let description = call.scene_text.clone()?;
             Some(DriveCall {
                 iteration: call.iteration,
@@ -67,6 +69,22 @@ impl Drive {
             .filter(|call| call.iteration < before)
             .find(|call| call.action != DrivingAction::Slower)
     }
+}
+
+/// Whether an answer ends with an action, as remembered answers must: they show the form.
+pub(crate) fn ends_with(answer: &str, action: DrivingAction) -> bool {
+    let number = answer.rsplit_once(DELIMITER);
+    number.is_some_and(|(_, number)| number.trim().parse() == Ok(action.id()))
+}
+
+/// An answer that ends with its action, also where the model named it only when asked again. Of a
+/// long one a part is left out.
+fn with_action(answer: &str, action: DrivingAction) -> String {
+    let answer = shortened(answer);
+    if ends_with(&answer, action) {
+        return answer.into_owned();
+    }
+    format!("{}\n{DELIMITER} {}", answer.trim_end(), action.id())
 }
 
 /// What a drive in a scenario of this name leaves. After an accident the model is asked for the
@@ -133,11 +151,15 @@ pub fn lesson_items(
         .rsplit_once(DELIMITER)
         .map_or(text.as_str(), |(lesson, _)| lesson)
         .trim();
+    if lesson.is_empty() {
+        return Ok(Err("the lesson has an action and no words".to_owned()));
+    }
     // The lesson takes the form of an answer, because remembered decisions are shown as answers.
     Ok(Ok(vec![DiluItem {
         description: mistake.description.clone(),
         answer: format!(
-            "I made a mistake like this before. {lesson}\n{DELIMITER} {}",
+            "I made a mistake like this before. {}\n{DELIMITER} {}",
+            shortened(lesson),
             action.id()
         ),
         action,
