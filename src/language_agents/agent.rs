@@ -2,10 +2,14 @@
 //! grammars, and the way from its answer to a trajectory.
 
 use crate::chat::Chat;
+use crate::memory::MemoryError;
 use planagent_agent::environment::GraphedScene;
-use planagent_agent::planner::{PlannerError, PlannerInput, Unreadable};
-use planagent_agent::reasoning::{ParseError, PlannerAnswer, ReasoningError};
+use planagent_agent::planner::{LanguageAgentSettings, PlannerError, PlannerInput, Unreadable};
+use planagent_agent::reasoning::{
+    ParseError, PlannerAnswer, PromptError, QuestionPrompts, ReasoningError,
+};
 use planagent_world::Trajectory;
+use std::sync::Arc;
 
 /// An agent that is asked in a chat. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a
 /// planner.
@@ -65,6 +69,27 @@ pub(crate) trait ChatAgent: Send {
     /// When the plan has no finite states.
     fn trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError>;
 }
+
+/// An agent by its prompts and settings.
+type Make<A> = fn(&LanguageAgentSettings, Arc<QuestionPrompts>) -> Result<A, MemoryError>;
+
+/// What an agent is made of.
+pub(crate) struct Parts<A: ChatAgent> {
+    /// Its name as a planner.
+    pub(crate) name: &'static str,
+    pub(crate) prompts: fn() -> Result<QuestionPrompts, PromptError>,
+    /// The file of its memory.
+    pub(crate) memory: fn(&LanguageAgentSettings) -> Option<&str>,
+    pub(crate) make: Make<A>,
+}
+
+impl<A: ChatAgent> Clone for Parts<A> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A: ChatAgent> Copy for Parts<A> {}
 
 /// An answer as it was read.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,41 +1,19 @@
 //! The planners by name.
 
-use crate::agent::ChatAgent;
-use crate::memory::{MemoryError, digest};
+use crate::agent::{ChatAgent, Parts};
+use crate::memory::digest;
 use crate::planner::{LanguagePlanner, Source};
 use crate::{agent_driver, dilu, gpt_driver, oracle};
 use planagent_agent::planner::{
-    AskedModel, CodeSource, LanguageAgentSettings, Latency, PlanAgentSettings, Planner,
-    PlannerError, PlannerName,
+    AskedModel, CodeSource, Latency, PlanAgentSettings, Planner, PlannerError, PlannerName,
 };
 use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerParts};
-use planagent_agent::reasoning::{PromptError, QuestionPrompts, ReasoningError};
+use planagent_agent::reasoning::ReasoningError;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Tokens of a chat with the prompts of these agents at least; scenes with many objects need more.
 const MIN_CONTEXT: usize = 2_048;
-
-/// An agent by its prompts and settings.
-type Make<A> = fn(&LanguageAgentSettings, Arc<QuestionPrompts>) -> Result<A, MemoryError>;
-
-/// What an agent is made of.
-pub(crate) struct Parts<A: ChatAgent> {
-    /// Its name as a planner.
-    pub(crate) name: &'static str,
-    pub(crate) prompts: fn() -> Result<QuestionPrompts, PromptError>,
-    /// The file of its memory.
-    pub(crate) memory: fn(&LanguageAgentSettings) -> Option<&str>,
-    pub(crate) make: Make<A>,
-}
-
-impl<A: ChatAgent> Clone for Parts<A> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<A: ChatAgent> Copy for Parts<A> {}
 
 /// The planners of this crate: the agents, and each with an oracle in its model's place.
 pub fn entries() -> impl Iterator<Item = PlannerEntry> {

@@ -1,6 +1,5 @@
 //! Memories of agents: files that a command fills and that no simulation changes.
 
-use crate::dilu::ends_with;
 use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -31,6 +30,15 @@ pub struct Memory<T> {
 
 /// Largest number of a remembered motion: meters, or meters per half second.
 const MAX_NUMBER: f64 = 1_000.0;
+
+/// Stands before the number of an action.
+pub(crate) const DELIMITER: &str = "####";
+
+/// Whether an answer ends with an action, as remembered answers must: they show the form.
+pub(crate) fn ends_with(answer: &str, action: DrivingAction) -> bool {
+    let number = answer.rsplit_once(DELIMITER);
+    number.is_some_and(|(_, number)| number.trim().parse() == Ok(action.id()))
+}
 
 /// What is remembered.
 pub(crate) trait Remembered: DeserializeOwned {
@@ -208,6 +216,7 @@ pub(crate) fn open<T: Remembered>(
         Ok(text) => text,
         Err(source) => return Err(MemoryError::Read { path, source }),
     };
+    // Whose it is comes before its items, which the wrong agent cannot read.
     let parsed = serde_json::from_str(&text);
     let Header {
         format,
@@ -251,6 +260,7 @@ fn check<T: Remembered>(memory: &Memory<T>, path: PathBuf) -> Result<(), MemoryE
                 bytes: text.len(),
             });
         }
+        // A blank text or a contradiction would teach the model nothing, or what is wrong.
         let blank = texts
             .iter()
             .take(T::READ)

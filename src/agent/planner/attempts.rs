@@ -100,7 +100,7 @@ pub struct Attempts<P> {
     pub(super) interruption: Option<Interruption>,
     /// What the question says of the last answer.
     unreadable: Option<Unreadable>,
-    /// The score of what drives on where no attempt is accepted, if it may be preferred.
+    /// The score of the plan that is driven where no attempt is accepted, if there is one.
     pub(super) rival: Option<f64>,
 }
 

@@ -110,6 +110,16 @@ pub struct CallTerms {
     pub deadline: Deadline,
 }
 
+impl CallTerms {
+    fn new(settings: &PlanAgentSettings, iteration: usize, started: Instant) -> Self {
+        let limit = settings.deadline();
+        Self {
+            seed: settings.call_seed(iteration),
+            deadline: limit.map_or(Deadline::NONE, |limit| Deadline::after(started, limit)),
+        }
+    }
+}
+
 /// A planning call of an agent: its record, and the plan that becomes active. `at_s` is the time
 /// after the first step, seconds; `started` is the wall time at which the call began.
 ///
@@ -121,6 +131,7 @@ pub fn planning_call<A: LanguageAgent>(
     at_s: f64,
     started: Instant,
 ) -> Result<(PlanningCall, Option<A::Plan>), PlannerError> {
+    // The steps of a call stand in one function, because the record has what each came to.
     let total_ms = || milliseconds(started.elapsed());
     let scene = &input.scene;
     let begun =
@@ -135,12 +146,7 @@ pub fn planning_call<A: LanguageAgent>(
     let seen = GraphedScene::new(scene, &graph);
     let observation = agent.observe(seen)?;
     let environment_ms = total_ms();
-    let settings = agent.settings();
-    let limit = settings.deadline();
-    let terms = CallTerms {
-        seed: settings.call_seed(input.iteration),
-        deadline: limit.map_or(Deadline::NONE, |limit| Deadline::after(started, limit)),
-    };
+    let terms = CallTerms::new(agent.settings(), input.iteration, started);
     let attempts = agent.attempts(&observation, seen, terms)?;
     let decision = agent.decide(&attempts);
     let (records, plan) = attempts.into_records(decision.attempt());

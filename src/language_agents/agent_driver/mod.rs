@@ -11,9 +11,8 @@ mod tools;
 
 pub use fill::experience;
 
-use crate::agent::{ChatAgent, Reply, beginning};
+use crate::agent::{ChatAgent, Parts, Reply, beginning};
 use crate::chat::{Asked, Chat};
-use crate::entry::Parts;
 use crate::gpt_driver::{action, reasons};
 use crate::memory::{ExperienceItem, Memory, open};
 use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, waypoint_grammar};
@@ -59,7 +58,7 @@ const WORD_TOKENS: usize = 8;
 /// Maximum tokens of a call of a tool.
 const CALL_TOKENS: usize = 64;
 /// An answer that keeps to its maximum of tokens has at most this many bytes a token.
-const MOST_BYTES_OF_TOKEN: usize = 16;
+const MAX_TOKEN_BYTES: usize = 16;
 /// Objects that reasons may name under the grammar, the nearest.
 const NAMED_OBJECTS: usize = 12;
 /// The name of the last stage in records.
@@ -342,7 +341,7 @@ impl ChatAgent for AgentDriver {
 impl AgentDriver {
     /// The reasons as they are passed on to the plan. A server may write more than it is asked for.
     fn passed_on(&self, mut reasons: String, errors: &mut Vec<ParseError>) -> String {
-        let limit = self.settings.max_tokens.saturating_mul(MOST_BYTES_OF_TOKEN);
+        let limit = self.settings.max_tokens.saturating_mul(MAX_TOKEN_BYTES);
         let message = if reasons.trim().is_empty() {
             "reasoning: the answer is empty; the plan is asked for without reasons".to_owned()
         } else if reasons.len() > limit {

@@ -2,14 +2,13 @@
 
 use crate::agent::{Reply, beginning};
 use crate::chat::Chat;
+use crate::memory::DELIMITER;
 use crate::waypoints::{any_of, text};
 use planagent_agent::planner::Unreadable;
 use planagent_agent::reasoning::{DrivingAction, ParseError};
 use planagent_mllm::Constraint;
 use std::ops::Range;
 
-/// Stands before the number.
-pub(super) const DELIMITER: &str = "####";
 /// The reasoning: some sentences without the delimiter.
 const REASONING: &str = "[A-Za-z][^#]{2,600}";
 
@@ -39,7 +38,7 @@ pub(super) fn read_action(
 ) -> Reply<DrivingAction> {
     // The last delimiter, because a model often repeats the instructions before it answers.
     match answer.rsplit_once(DELIMITER) {
-        Some((before, _)) => read_number(answer, before.len() + DELIMITER.len(), offered, chat),
+        Some((_, number)) => read_number(answer, number, offered, chat),
         None => {
             let message = format!("no {DELIMITER} with an action");
             let error = error(answer.len()..answer.len(), message, offered);
@@ -57,18 +56,19 @@ pub(super) fn read_extraction(
     if answer.contains(DELIMITER) {
         read_action(answer, offered, chat)
     } else {
-        read_number(answer, 0, offered, chat)
+        read_number(answer, answer, offered, chat)
     }
 }
 
-/// The action whose number is the rest of an answer.
+/// The action whose number is the end of an answer.
 fn read_number(
     answer: &str,
-    from: usize,
+    number: &str,
     offered: &[DrivingAction],
     chat: &Chat<'_>,
 ) -> Reply<DrivingAction> {
-    let number = answer.get(from..).unwrap_or_default().trim();
+    let from = answer.len() - number.len();
+    let number = number.trim();
     let wrong = |message| error(from..answer.len(), message, offered);
     match number.parse().ok().and_then(DrivingAction::from_id) {
         Some(action) if offered.contains(&action) => Reply::plan(action),

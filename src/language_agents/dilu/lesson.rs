@@ -1,10 +1,10 @@
 //! What a drive leaves in the memory: decisions of a drive without an accident, and after an
 //! accident the corrected decision that led to it.
 
-use super::answer::{DELIMITER, grammar, read_action};
+use super::answer::{grammar, read_action};
 use super::prompts;
 use crate::chat::{Asked, Chat};
-use crate::memory::DiluItem;
+use crate::memory::{DELIMITER, DiluItem, ends_with};
 use minijinja::context;
 use planagent_agent::planner::{AskedModel, PlannerError, PlanningCall};
 use planagent_agent::reasoning::{DrivingAction, PlannerAnswer, ReasoningError, RoundName};
@@ -69,12 +69,6 @@ impl Drive {
             .filter(|call| call.iteration < before)
             .find(|call| call.action != DrivingAction::Slower)
     }
-}
-
-/// Whether an answer ends with an action, as remembered answers must: they show the form.
-pub(crate) fn ends_with(answer: &str, action: DrivingAction) -> bool {
-    let number = answer.rsplit_once(DELIMITER);
-    number.is_some_and(|(_, number)| number.trim().parse() == Ok(action.id()))
 }
 
 /// An answer that ends with its action, also where the model named it only when asked again. Of a

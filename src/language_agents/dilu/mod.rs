@@ -10,12 +10,10 @@ mod describe;
 mod lesson;
 mod recall;
 
-pub(crate) use lesson::ends_with;
 pub use lesson::{Drive, lesson_items};
 
-use crate::agent::{ChatAgent, Reply, in_answer};
+use crate::agent::{ChatAgent, Parts, Reply, in_answer};
 use crate::chat::{Asked, Chat};
-use crate::entry::Parts;
 use crate::memory::{DiluItem, Memory, open};
 use answer::{extraction, grammar, read_action, read_extraction};
 pub(crate) use control::SetPoints;

@@ -5,9 +5,8 @@
 
 mod grammar;
 
-use crate::agent::{ChatAgent, Reply};
+use crate::agent::{ChatAgent, Parts, Reply};
 use crate::chat::{Asked, Chat};
-use crate::entry::Parts;
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
 pub(crate) use grammar::{action, reasons};

@@ -145,7 +145,9 @@ fn read(answer: &str) -> Result<WaypointList, Fault> {
         }
     }
     // Two lists are two plans, and nothing tells which one is meant.
-    let behind = rest.get(1..).unwrap_or_default();
+    let behind = rest
+        .strip_prefix(']')
+        .expect("the loop above ends at the bracket");
     let second = behind.match_indices('[').find(|(place, _)| {
         let inside = behind[place + 1..].trim_start();
         inside.starts_with(['(', '['])

@@ -11,7 +11,7 @@ const NAMED_OBJECTS: usize = 8;
 const NAMED_PLACES: usize = 2;
 
 /// Objects or places that a call may name at all: an answer of a server can be long.
-const MOST_NAMED: usize = 64;
+const MAX_NAMED: usize = 64;
 
 /// A call.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,8 +162,8 @@ fn listed<'a>(argument: &'a Argument, wrong: &dyn Fn() -> String) -> Result<Vec<
     let parts = inside(&argument.text).and_then(split).ok_or_else(wrong)?;
     match parts.len() {
         0 => Err("the list is empty".to_owned()),
-        count if count > MOST_NAMED => Err(format!(
-            "the list has {count} parts, and {MOST_NAMED} are the limit"
+        count if count > MAX_NAMED => Err(format!(
+            "the list has {count} parts, and {MAX_NAMED} are the limit"
         )),
         _ => Ok(parts),
     }
