@@ -195,8 +195,9 @@ pub(crate) fn parquet(text: &str) -> Vec<u8> {
 }
 
 /// A GGUF file whose tensors are zero. A line is an entry: `s KEY TEXT`, `u KEY NUMBER` (32 bits),
-/// `f KEY NUMBER`, `b KEY true`, `as KEY WORD ...`, `ai KEY NUMBER ...`, `af KEY NUMBER ...`, or a
-/// tensor `t NAME TYPE WIDTH ...`, TYPE being GGML's number.
+/// `f KEY NUMBER`, `b KEY true`, `as KEY WORD ...` (`␣` is a space of a word), `ai KEY NUMBER ...`,
+/// `af KEY NUMBER ...`, `ab KEY true ...`, or a tensor `t NAME TYPE WIDTH ...`, TYPE being GGML's
+/// number.
 pub(crate) fn gguf(text: &str) -> Vec<u8> {
     let (mut entries, mut tensors) = (Vec::new(), Vec::new());
     let (mut entry_count, mut tensor_count, mut values) = (0_u64, 0_u64, 0_u64);
@@ -223,7 +224,8 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
             tensors.extend((shape.len() as u32).to_le_bytes());
             tensors.extend(shape.iter().flat_map(|width| width.to_le_bytes()));
             tensors.extend(of_type.to_le_bytes());
-            tensors.extend((values * 4).next_multiple_of(32).to_le_bytes());
+            values = values.next_multiple_of(8);
+            tensors.extend((values * 4).to_le_bytes());
             values = values.saturating_add(
                 shape
                     .iter()
@@ -256,7 +258,11 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
             }
             "as" => {
                 list(&mut entries, 8);
-                words().for_each(|word| put(&mut entries, word));
+                words().for_each(|word| put(&mut entries, &word.replace('␣', " ")));
+            }
+            "ab" => {
+                list(&mut entries, 7);
+                entries.extend(words().map(|word| u8::from(word == "true")));
             }
             "ai" => {
                 list(&mut entries, 5);

@@ -501,10 +501,13 @@ fn gguf(bytes: &[u8]) -> bool {
         Some((model, mmproj)) => (formats::gguf(model), Some(formats::gguf(mmproj))),
         None => (bytes.to_vec(), None),
     };
-    let folder = folder(&[
-        ("model.gguf", &model),
-        ("mmproj.gguf", mmproj.as_deref().unwrap_or_default()),
-    ]);
+    // An empty file beside the model would be a tower that cannot be read.
+    let tower = mmproj.as_deref().map(|tower| ("mmproj.gguf", tower));
+    let files: Vec<(&str, &[u8])> = [("model.gguf", model.as_slice())]
+        .into_iter()
+        .chain(tower)
+        .collect();
+    let folder = folder(&files);
     let mmproj = mmproj.map(|_| folder.path().join("mmproj.gguf"));
     check(&ModelPlace::Gguf {
         model: folder.path().join("model.gguf"),

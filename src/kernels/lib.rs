@@ -11,6 +11,7 @@ mod linear;
 pub mod matrix;
 pub mod pointwise;
 mod rms_norm;
+mod sparse_gates;
 pub mod values;
 mod work;
 
@@ -21,4 +22,5 @@ pub use layer_norm::LayerNorm;
 pub use limits::Limits;
 pub use linear::Linear;
 pub use rms_norm::RmsNorm;
+pub use sparse_gates::above_cutoff;
 pub use work::Work;

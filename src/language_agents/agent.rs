@@ -1,18 +1,25 @@
-//! The four parts of a language agent: an observation, a prompt set, a grammar for its answer, and a
-//! way to turn the answer into a trajectory.
+//! An agent that answers once in a planning call, in a chat: its observation, its prompts and
+//! grammars, and the way from its answer to a trajectory.
 
 use crate::chat::Chat;
+use crate::memory::MemoryError;
 use planagent_agent::environment::GraphedScene;
-use planagent_agent::planner::{PlannerError, PlannerInput, Unreadable};
-use planagent_agent::reasoning::{ParseError, PlannerAnswer, ReasoningError};
+use planagent_agent::planner::{LanguageAgentSettings, PlannerError, PlannerInput, Unreadable};
+use planagent_agent::reasoning::{
+    ParseError, PlannerAnswer, PromptError, QuestionPrompts, ReasoningError,
+};
 use planagent_world::Trajectory;
+use std::sync::Arc;
 
-/// A language agent. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a planner.
-pub(crate) trait LanguageAgent: Send {
+/// An agent that is asked in a chat. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a
+/// planner.
+pub(crate) trait ChatAgent: Send {
     /// What the model reads about the scene, and what else its answer is read with.
     type Observation<'a>;
     /// What the model answers.
     type Answer: Copy + Into<PlannerAnswer> + Send + 'static;
+    /// What becomes active when an answer is carried out.
+    type Plan;
 
     /// Time between planning calls, seconds.
     fn interval_s(&self) -> f64;
@@ -36,16 +43,19 @@ pub(crate) trait LanguageAgent: Send {
         chat: &mut Chat<'_>,
     ) -> Result<Reply<Self::Answer>, ReasoningError>;
 
-    /// Makes the plan of an answer the active one, and gives its trajectory from now on.
+    /// The plan of an answer, and its trajectory from now on.
     ///
     /// # Errors
     /// When the plan has no finite states.
-    fn adopt(
-        &mut self,
+    fn plan(
+        &self,
         answer: Self::Answer,
         observation: &Self::Observation<'_>,
         seen: GraphedScene<'_>,
-    ) -> Result<Trajectory, PlannerError>;
+    ) -> Result<(Self::Plan, Trajectory), PlannerError>;
+
+    /// Makes a plan the active one.
+    fn adopt(&mut self, plan: Self::Plan);
 
     /// Goes on with the active plan after a planning call that gave none.
     ///
@@ -59,6 +69,27 @@ pub(crate) trait LanguageAgent: Send {
     /// When the plan has no finite states.
     fn trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError>;
 }
+
+/// An agent by its prompts and settings.
+type Make<A> = fn(&LanguageAgentSettings, Arc<QuestionPrompts>) -> Result<A, MemoryError>;
+
+/// What an agent is made of.
+pub(crate) struct Parts<A: ChatAgent> {
+    /// Its name as a planner.
+    pub(crate) name: &'static str,
+    pub(crate) prompts: fn() -> Result<QuestionPrompts, PromptError>,
+    /// The file of its memory.
+    pub(crate) memory: fn(&LanguageAgentSettings) -> Option<&str>,
+    pub(crate) make: Make<A>,
+}
+
+impl<A: ChatAgent> Clone for Parts<A> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A: ChatAgent> Copy for Parts<A> {}
 
 /// An answer as it was read.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,4 +129,18 @@ impl<A> Reply<A> {
             unreadable: Some(Unreadable::NoAttempt),
         }
     }
+}
+
+/// Most characters of a wrong text that a message shows.
+const SHOWN: usize = 40;
+
+/// The beginning of a text, for a message about it.
+pub(crate) fn beginning(text: &str) -> String {
+    text.chars().take(SHOWN).collect()
+}
+
+/// The same error with the question whose answer it is in: its place counts there.
+pub(crate) fn in_answer(question: &str, mut error: ParseError) -> ParseError {
+    error.message = format!("{question}: {}", error.message);
+    error
 }

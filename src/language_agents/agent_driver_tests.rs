@@ -144,6 +144,50 @@ fn the_experience_that_the_model_picks_stands_in_the_plan() {
 }
 
 #[test]
+fn what_is_wrong_on_the_way_to_a_plan_is_counted_and_shown() {
+    let (scenario, settings) = (default_scene(), asked_seldom());
+    let challenge = Challenge::NonReactive;
+    let careless = Stub::new(|prompt, n| {
+        if prompt.contains("of the kind") {
+            return if prompt.contains("map") {
+                "YES"
+            } else {
+                "Yes."
+            }
+            .to_owned();
+        }
+        if prompt.contains("Call one of") {
+            return "shoulder_here() divider_here()".to_owned();
+        }
+        if prompt.contains("Rules:") {
+            return agent(prompt, n);
+        }
+        String::new()
+    });
+    let (calls, _) = drive(
+        "agent-driver",
+        Some(careless),
+        &scenario,
+        challenge,
+        &settings,
+    );
+    for call in &calls {
+        assert_eq!(call.decision, Decision::Execute(0));
+        let attempt = &call.attempts[0];
+        let said: Vec<&str> = attempt.errors.iter().map(|e| e.message.as_str()).collect();
+        assert_eq!(said.len(), 4, "{said:?}");
+        assert!(said[0].starts_with("need of detection: 'Yes.' is neither YES nor NO"));
+        assert!(said[3].starts_with("reasoning: the answer is empty"));
+        let mut tools = attempt
+            .rounds
+            .iter()
+            .filter_map(|round| round.tool.as_ref());
+        let call = tools.next().unwrap();
+        assert!(call.failed && call.result.contains("call one tool, not several"));
+    }
+}
+
+#[test]
 fn an_oracle_drives_by_checked_waypoints() {
     let (scenario, settings) = (default_scene(), asked_seldom());
     let challenge = Challenge::NonReactive;

@@ -132,6 +132,7 @@ impl<'a> Chat<'a> {
     /// What is wrong with the last answer, in which something wrong was found.
     pub(crate) fn with_wrong_line(&self) -> Unreadable {
         match self.rounds.last() {
+            Some(last) if last.answer.trim().is_empty() => Unreadable::Empty,
             Some(last) if self.is_cut_off(last) => Unreadable::CutOff,
             _ => Unreadable::WrongLine,
         }

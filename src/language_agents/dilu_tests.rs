@@ -92,6 +92,48 @@ fn an_answer_without_an_action_is_asked_about_once_and_then_counted() {
     }
 }
 
+#[test]
+fn a_second_question_that_is_not_answered_is_an_empty_answer() {
+    let (scenario, settings) = (default_scene(), asked_seldom());
+    let silent = Stub::new(|_, n| ["I keep on.", ""][n % 2].to_owned());
+    let challenge = Challenge::NonReactive;
+    let (calls, _) = drive("dilu", Some(silent), &scenario, challenge, &settings);
+    for call in &calls {
+        let cause = NoPlan::Unreadable(Unreadable::Empty);
+        assert_eq!(call.decision, Decision::Brake(cause));
+        let errors = &call.attempts[0].errors;
+        assert_eq!((errors.len(), errors[1].span.clone()), (2, 0..0));
+        assert!(
+            errors[0].message.starts_with("first answer: no ####"),
+            "{}",
+            errors[0]
+        );
+    }
+}
+
+#[test]
+fn an_action_that_is_not_offered_is_refused_and_shown() {
+    let (scenario, settings) = (default_scene(), asked_seldom());
+    // A road has no end of lanes to the left, so that one of these asks for too much.
+    let left = Stub::new(|_, _| "I change.\n#### 0".to_owned());
+    let challenge = Challenge::NonReactive;
+    let (calls, _) = drive("dilu", Some(left), &scenario, challenge, &settings);
+    let refused: Vec<_> = calls
+        .iter()
+        .filter(|call| call.unreadable() == Some(Unreadable::WrongLine))
+        .collect();
+    assert!(!refused.is_empty());
+    for call in refused {
+        let attempt = &call.attempts[0];
+        assert_eq!(
+            attempt.answer,
+            Some(PlannerAnswer::Action(DrivingAction::Left))
+        );
+        assert!(attempt.errors[0].message.contains("is not offered here"));
+        assert!(attempt.path.is_empty());
+    }
+}
+
 fn memory_of(items: Vec<DiluItem>) -> (tempfile::TempDir, PlanAgentSettings) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("dilu.json");
@@ -179,11 +221,32 @@ fn drives_leave_decisions_and_accidents_leave_the_lesson_of_the_last_decision_th
     assert_eq!(lesson[0].description, crashed.calls[3].description);
     assert_eq!(lesson[0].action, DrivingAction::Slower);
     assert!(lesson[0].answer.ends_with("Look further ahead.\n#### 4"));
+    let wordless = asked(|_, _| "#### 4".to_owned());
+    let why = lesson_items("a", &crashed, &wordless, 100, 0)
+        .unwrap()
+        .unwrap_err();
+    assert!(why.contains("no words"), "{why}");
     let mute = asked(|_, _| "Who knows".to_owned());
     let why = lesson_items("a", &crashed, &mute, 100, 0)
         .unwrap()
         .unwrap_err();
     assert!(why.contains("no action"), "{why}");
+}
+
+#[test]
+fn a_decision_that_was_asked_about_twice_is_remembered_with_its_action() {
+    let (scenario, settings) = (default_scene(), asked_seldom());
+    let twice = Stub::new(|_, n| ["I keep on. ", "1"][n % 2].to_owned());
+    let challenge = Challenge::NonReactive;
+    let (calls, _) = drive("dilu", Some(twice), &scenario, challenge, &settings);
+    let kept = Drive::new(&calls, None).calls;
+    assert_eq!(kept.len(), calls.len());
+    assert!(kept.iter().all(|call| call.answer == "I keep on.\n#### 1"));
+    let long = Stub::new(|_, _| format!("{}\n#### 1", "I keep on. ".repeat(10_000)));
+    let (calls, _) = drive("dilu", Some(long), &scenario, challenge, &settings);
+    for call in Drive::new(&calls, None).calls {
+        assert!(call.answer.len() < 5_000 && call.answer.ends_with("#### 1"));
+    }
 }
 
 #[test]

@@ -28,10 +28,29 @@ pub struct Memory<T> {
     pub items: Vec<T>,
 }
 
+/// Largest number of a remembered motion: meters, or meters per half second.
+const MAX_NUMBER: f64 = 1_000.0;
+
+/// Stands before the number of an action.
+pub(crate) const DELIMITER: &str = "####";
+
+/// Whether an answer ends with an action, as remembered answers must: they show the form.
+pub(crate) fn ends_with(answer: &str, action: DrivingAction) -> bool {
+    let number = answer.rsplit_once(DELIMITER);
+    number.is_some_and(|(_, number)| number.trim().parse() == Ok(action.id()))
+}
+
 /// What is remembered.
 pub(crate) trait Remembered: DeserializeOwned {
-    /// Its texts by the names of their fields.
+    /// Its texts by the names of their fields. The model reads the first ones, and they must not be
+    /// empty.
     fn texts(&self) -> [(&'static str, &str); 3];
+
+    /// How many of its texts the model reads.
+    const READ: usize;
+
+    /// What is wrong with an item beside the length of its texts.
+    fn fault(&self) -> Option<String>;
 }
 
 impl Remembered for DiluItem {
@@ -42,6 +61,13 @@ impl Remembered for DiluItem {
             ("comment", &self.comment),
         ]
     }
+
+    const READ: usize = 2;
+
+    fn fault(&self) -> Option<String> {
+        (!ends_with(&self.answer, self.action))
+            .then(|| format!("answer does not end with the action {}", self.action))
+    }
 }
 
 impl Remembered for ExperienceItem {
@@ -51,6 +77,16 @@ impl Remembered for ExperienceItem {
             ("goal", &self.goal),
             ("source", &self.source),
         ]
+    }
+
+    const READ: usize = 2;
+
+    fn fault(&self) -> Option<String> {
+        let places = self.past.iter().chain(&self.future).flatten();
+        let far = self.motion.iter().chain(places);
+        far.copied()
+            .find(|number| number.abs() > MAX_NUMBER)
+            .map(|number| format!("{number:e} is larger than {MAX_NUMBER}"))
     }
 }
 
@@ -94,6 +130,14 @@ impl ExperienceItem {
     }
 }
 
+/// What tells whose memory a file is. It is read first, because the items of another agent have
+/// other fields.
+#[derive(Deserialize)]
+struct Header {
+    format: u32,
+    agent: String,
+}
+
 /// Why a memory cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
@@ -128,6 +172,14 @@ pub(crate) enum MemoryError {
         item: usize,
         field: &'static str,
         bytes: usize,
+    },
+    #[error("the memory {} has no items; fill one with planagent memory fill", path.display())]
+    Empty { path: PathBuf },
+    #[error("in the memory {}: item {item}: {fault}", path.display())]
+    Item {
+        path: PathBuf,
+        item: usize,
+        fault: String,
     },
 }
 
@@ -164,35 +216,67 @@ pub(crate) fn open<T: Remembered>(
         Ok(text) => text,
         Err(source) => return Err(MemoryError::Read { path, source }),
     };
+    // Whose it is comes before its items, which the wrong agent cannot read.
+    let parsed = serde_json::from_str(&text);
+    let Header {
+        format,
+        agent: whose,
+    } = match parsed {
+        Ok(header) => header,
+        Err(source) => return Err(MemoryError::Parse { path, source }),
+    };
+    if format != FORMAT || whose != agent {
+        return Err(MemoryError::Other {
+            path,
+            format,
+            agent: whose,
+            expected: agent,
+        });
+    }
     let memory: Memory<T> = match serde_json::from_str(&text) {
         Ok(memory) => memory,
         Err(source) => return Err(MemoryError::Parse { path, source }),
     };
-    if memory.format != FORMAT || memory.agent != agent {
-        return Err(MemoryError::Other {
-            path,
-            format: memory.format,
-            agent: memory.agent,
-            expected: agent,
-        });
-    }
-    // Items become parts of prompts, and the file may come from a stranger.
-    if memory.items.len() > MAX_ITEMS {
-        let count = memory.items.len();
-        return Err(MemoryError::TooLarge { path, count });
+    check(&memory, path)?;
+    Ok(memory)
+}
+
+/// Whether items can be shown to a model: they become parts of prompts, and the file may come from a
+/// stranger.
+fn check<T: Remembered>(memory: &Memory<T>, path: PathBuf) -> Result<(), MemoryError> {
+    match memory.items.len() {
+        0 => return Err(MemoryError::Empty { path }),
+        1..=MAX_ITEMS => {}
+        count => return Err(MemoryError::TooLarge { path, count }),
     }
     for (i, item) in memory.items.iter().enumerate() {
-        let long = |(_, text): &(&str, &str)| text.len() > MAX_TEXT;
-        if let Some((field, text)) = item.texts().into_iter().find(long) {
+        let (texts, number) = (item.texts(), i + 1);
+        let long = |(_, text): &&(&str, &str)| text.len() > MAX_TEXT;
+        if let Some(&(field, text)) = texts.iter().find(long) {
             return Err(MemoryError::TooLong {
                 path,
-                item: i + 1,
+                item: number,
                 field,
                 bytes: text.len(),
             });
         }
+        // A blank text or a contradiction would teach the model nothing, or what is wrong.
+        let blank = texts
+            .iter()
+            .take(T::READ)
+            .find(|(_, text)| text.trim().is_empty());
+        let fault = blank
+            .map(|(field, _)| format!("{field} is empty"))
+            .or_else(|| item.fault());
+        if let Some(fault) = fault {
+            return Err(MemoryError::Item {
+                path,
+                item: number,
+                fault,
+            });
+        }
     }
-    Ok(memory)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -230,5 +314,75 @@ mod tests {
         let error = open::<DiluItem>(missing.to_str(), "dilu").unwrap_err();
         assert!(error.to_string().contains("nothing.json"), "{error}");
         assert_eq!(open::<DiluItem>(None, "dilu").unwrap().items, []);
+    }
+
+    #[test]
+    fn damaged_foreign_and_empty_memories_are_refused_with_the_item() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("memory.json");
+        let decision = r#"{"description": "a road", "answer": "Free.\n#### 3", "action": "faster", "comment": ""}"#;
+        let motion = r#"{"text": "a drive", "motion": [0, 0, 0, 0, 0, 0, 0, 0, 0], "goal": "FORWARD",
+            "past": [[0, -4], [0, -3], [0, -2], [0, -1]],
+            "future": [[0, 1], [0, 2], [0, 3], [0, 4], [0, 5], [0, 6]], "source": ""}"#;
+        let of = |agent: &str, items: &str| {
+            format!(r#"{{"format": 1, "agent": "{agent}", "source": "", "items": [{items}]}}"#)
+        };
+        let write = |text: &str| {
+            std::fs::write(&file, text).unwrap();
+            file.to_str()
+        };
+        let two = format!("{decision}, {decision}");
+        assert_eq!(
+            open::<DiluItem>(write(&of("dilu", &two)), "dilu")
+                .unwrap()
+                .items
+                .len(),
+            2
+        );
+        for (text, why) in [
+            (String::new(), "EOF"),
+            ("null".to_owned(), "invalid type"),
+            (of("dilu", ""), "has no items"),
+            (of("agent-driver", motion), "is of form 1 for agent-driver"),
+            (of("dilu", motion), "unknown field `text`"),
+            (
+                of("dilu", decision).replace("\"format\": 1", "\"format\": 2"),
+                "of form 2",
+            ),
+            (of("dilu", &two) + "x", "trailing"),
+            (
+                of("dilu", &two).replacen("a road", " ", 1),
+                "item 1: description is empty",
+            ),
+            (
+                of(
+                    "dilu",
+                    &format!("{decision}, {}", decision.replace("#### 3", "#### 4")),
+                ),
+                "item 2: answer does not end with the action faster",
+            ),
+            (
+                of("dilu", &decision.replace("faster", "fly")),
+                "unknown variant `fly`",
+            ),
+            (
+                of("dilu", decision).replace("\"source\"", "\"agent\""),
+                "duplicate field `agent`",
+            ),
+        ] {
+            let error = open::<DiluItem>(write(&text), "dilu").unwrap_err();
+            assert!(error.to_string().contains(why), "{text}: {error}");
+        }
+        for (from, to, why) in [
+            ("[0, 6]", "[0, 1e9]", "item 1: 1e9 is larger than 1000"),
+            ("[0, 6]", "[0, 1e999]", "number out of range"),
+            ("[0, 6]", "[0, NaN]", "expected"),
+            (", [0, 6]", "", "invalid length 5"),
+            ("a drive", "", "item 1: text is empty"),
+        ] {
+            let text = of("agent-driver", &motion.replace(from, to));
+            let error = open::<ExperienceItem>(write(&text), "agent-driver").unwrap_err();
+            assert!(error.to_string().contains(why), "{text}: {error}");
+        }
     }
 }

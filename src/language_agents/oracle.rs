@@ -1,7 +1,7 @@
 //! What stands in a model's place: the best answer of a form, tried out in the simulation itself. No
 //! model does better by this form, as far as the search tells.
 
-use crate::agent::LanguageAgent;
+use crate::agent::ChatAgent;
 use crate::dilu::{Dilu, SetPoints};
 use crate::planner::{Handed, LanguagePlanner, Source};
 use crate::waypoints::SPACING_STEPS;
@@ -16,17 +16,17 @@ use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
 use planagent_world::{EgoState, HistorySample, SceneView};
 
 /// Finds the best answer at the present of a simulation.
-pub(crate) type Find<A> = fn(&ClosedLoop<'static>, &A) -> Option<<A as LanguageAgent>::Answer>;
+pub(crate) type Find<A> = fn(&ClosedLoop<'static>, &A) -> Option<<A as ChatAgent>::Answer>;
 
 /// An agent whose answers come from a search.
-struct AnswerOracle<A: LanguageAgent> {
+struct AnswerOracle<A: ChatAgent> {
     planner: LanguagePlanner<A>,
     handed: Handed<A::Answer>,
     find: Find<A>,
 }
 
 /// The planner of a name.
-pub(crate) fn entry<A: LanguageAgent + 'static>(
+pub(crate) fn entry<A: ChatAgent + 'static>(
     name: &'static str,
     summary: &'static str,
     agent: impl Fn(&PlanAgentSettings) -> Result<A, PlannerError> + Send + Sync + 'static,
@@ -44,7 +44,7 @@ pub(crate) fn entry<A: LanguageAgent + 'static>(
     })
 }
 
-impl<A: LanguageAgent> Foresight for AnswerOracle<A> {
+impl<A: ChatAgent> Foresight for AnswerOracle<A> {
     fn planner(&self) -> &dyn Planner {
         &self.planner
     }

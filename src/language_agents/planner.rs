@@ -1,15 +1,15 @@
 //! The planner that a language agent is: it asks in intervals, records every call, and executes the
 //! last plan in between.
 
-use crate::agent::{LanguageAgent, Reply};
+use crate::agent::ChatAgent;
 use crate::chat::Chat;
-use planagent_agent::environment::{GraphedScene, LaneGraph};
+use planagent_agent::environment::GraphedScene;
 use planagent_agent::planner::{
-    AskedModel, Attempt, Clock, Decision, NoPlan, PlanAgentSettings, Planner, PlannerError,
-    PlannerInitialization, PlannerInput, PlannerName, PlanningCall, comfortable_stop,
+    AskedModel, AttemptLimits, Attempts, CallTerms, Clock, Decision, LanguageAgent, NoPlan,
+    PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
+    PlanningCall, Question, Shown, Trial, Unreadable, comfortable_stop, planning_call,
 };
-use planagent_agent::reasoning::{Interruption, RoundRecord};
-use planagent_mllm::{Deadline, milliseconds};
+use planagent_agent::reasoning::{Feedback, Parsed, ReasoningError, ReasoningTrace};
 use planagent_world::{SceneView, Trajectory};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -54,7 +54,7 @@ impl<A> Handed<A> {
 }
 
 /// A language agent as a planner.
-pub(crate) struct LanguagePlanner<A: LanguageAgent> {
+pub(crate) struct LanguagePlanner<A: ChatAgent> {
     name: PlannerName,
     agent: A,
     source: Source<A::Answer>,
@@ -65,14 +65,7 @@ pub(crate) struct LanguagePlanner<A: LanguageAgent> {
     calls: Vec<PlanningCall>,
 }
 
-/// What a planning call asked and got.
-struct Outcome<A> {
-    rounds: Vec<RoundRecord>,
-    reply: Reply<A>,
-    interruption: Option<Interruption>,
-}
-
-impl<A: LanguageAgent> LanguagePlanner<A> {
+impl<A: ChatAgent> LanguagePlanner<A> {
     pub(crate) fn new(
         name: PlannerName,
         agent: A,
@@ -101,8 +94,106 @@ impl<A: LanguageAgent> LanguagePlanner<A> {
         clock.step(scene.ego.time_us);
         clock.is_due(self.agent.interval_s())
     }
+}
 
-    fn keep_or_brake(&self, why: NoPlan) -> Decision {
+/// The one question of a planning call.
+struct OneAnswer<'a, 's, A: ChatAgent> {
+    planner: &'a LanguagePlanner<A>,
+    observation: &'a A::Observation<'s>,
+    seen: GraphedScene<'a>,
+    terms: CallTerms,
+    /// Why the answer is no plan.
+    unreadable: Option<Unreadable>,
+}
+
+impl<A: ChatAgent> Question for OneAnswer<'_, '_, A> {
+    type Answer = A::Answer;
+    type Plan = A::Plan;
+
+    fn ask(
+        &mut self,
+        _: Option<&Feedback>,
+    ) -> Result<Option<ReasoningTrace<A::Answer>>, ReasoningError> {
+        let AskedModel {
+            model, reasoning, ..
+        } = match &self.planner.source {
+            Source::Model(asked) => asked,
+            Source::Handed(handed) => {
+                return Ok(handed.take().map(ReasoningTrace::without_rounds));
+            }
+        };
+        let CallTerms { seed, deadline } = self.terms;
+        let mut chat = Chat::new(model.as_ref(), reasoning, seed, deadline);
+        let reply = self.planner.agent.ask(self.observation, &mut chat)?;
+        self.unreadable = reply.unreadable;
+        let (answer, errors) = (reply.answer, reply.errors);
+        Ok(Some(ReasoningTrace {
+            rounds: chat.rounds,
+            interruption: chat.interruption,
+            ..ReasoningTrace::of_parsed(Parsed { answer, errors })
+        }))
+    }
+
+    /// No trial: these agents have no Reflection.
+    fn try_out(&mut self, answer: A::Answer) -> Result<Option<Trial<A::Plan>>, PlannerError> {
+        if self.unreadable.is_some() {
+            return Ok(None);
+        }
+        let agent = &self.planner.agent;
+        let (plan, trajectory) = agent.plan(answer, self.observation, self.seen)?;
+        let states = trajectory.states().iter().take(RECORDED_STATES);
+        Ok(Some(Trial {
+            plan,
+            path: states.map(|state| state.rear_axle).collect(),
+            reflection: None,
+            threshold: AttemptLimits::ONE.threshold,
+        }))
+    }
+
+    fn unreadable(&self) -> Option<Unreadable> {
+        self.unreadable
+    }
+}
+
+impl<A: ChatAgent> LanguageAgent for LanguagePlanner<A> {
+    type Observation<'s> = A::Observation<'s>;
+    type Plan = A::Plan;
+
+    fn settings(&self) -> &PlanAgentSettings {
+        &self.settings
+    }
+
+    fn observe<'s>(
+        &mut self,
+        seen: GraphedScene<'s>,
+    ) -> Result<Self::Observation<'s>, PlannerError> {
+        Ok(self.agent.observe(seen))
+    }
+
+    fn shown(&self, observation: &Self::Observation<'_>) -> Shown {
+        Shown {
+            text: Some(A::scene_text(observation)),
+            ..Shown::default()
+        }
+    }
+
+    fn attempts(
+        &mut self,
+        observation: &Self::Observation<'_>,
+        seen: GraphedScene<'_>,
+        terms: CallTerms,
+    ) -> Result<Attempts<A::Plan>, PlannerError> {
+        let mut question = OneAnswer {
+            planner: self,
+            observation,
+            seen,
+            terms,
+            unreadable: None,
+        };
+        Attempts::make(&mut question, AttemptLimits::ONE, 0.0)
+    }
+
+    fn without_plan(&self, why: NoPlan) -> Decision {
         if self.has_plan {
             Decision::KeepActivePlan(why)
         } else {
@@ -110,104 +201,17 @@ impl<A: LanguageAgent> LanguagePlanner<A> {
         }
     }
 
-    fn answers(
-        &self,
-        iteration: usize,
-        observation: &A::Observation<'_>,
-        started: Instant,
-    ) -> Result<Outcome<A::Answer>, PlannerError> {
-        match &self.source {
-            Source::Model(AskedModel {
-                model, reasoning, ..
-            }) => {
-                let deadline = self
-                    .settings
-                    .deadline()
-                    .map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
-                let seed = self.settings.call_seed(iteration);
-                let mut chat = Chat::new(model.as_ref(), reasoning, seed, deadline);
-                let reply = self.agent.ask(observation, &mut chat)?;
-                Ok(Outcome {
-                    rounds: chat.rounds,
-                    reply,
-                    interruption: chat.interruption,
-                })
-            }
-            Source::Handed(handed) => Ok(Outcome {
-                rounds: Vec::new(),
-                reply: handed.take().map_or_else(Reply::none, Reply::plan),
-                interruption: None,
-            }),
+    /// The active plan must still reach as far ahead as a new one would.
+    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
+        if self.has_plan {
+            self.agent.go_on(seen)
+        } else {
+            Ok(())
         }
-    }
-
-    /// One planning call.
-    fn call(&mut self, input: &PlannerInput<'_>) -> Result<(), PlannerError> {
-        let started = Instant::now();
-        let (scene, iteration) = (&input.scene, input.iteration);
-        let at_s = self.clock.elapsed_s(scene.ego.time_us);
-        let graph = match LaneGraph::build(scene, self.settings.environment.node_length_m) {
-            Ok(graph) => graph,
-            Err(error) => {
-                let decision = self.keep_or_brake(NoPlan::NoLaneGraph(error.to_string()));
-                let total_ms = milliseconds(started.elapsed());
-                self.calls.push(PlanningCall::without_attempts(
-                    iteration, at_s, decision, total_ms,
-                ));
-                return Ok(());
-            }
-        };
-        let seen = GraphedScene::new(scene, &graph);
-        let observation = self.agent.observe(seen);
-        let environment_ms = milliseconds(started.elapsed());
-        let outcome = self.answers(iteration, &observation, started)?;
-        let (attempts, decision) = self.act(outcome, &observation, seen)?;
-        let total_ms = milliseconds(started.elapsed());
-        let mut call = PlanningCall::without_attempts(iteration, at_s, decision, total_ms);
-        call.scene_text = Some(A::scene_text(&observation));
-        (call.attempts, call.environment_ms) = (attempts, environment_ms);
-        self.calls.push(call);
-        Ok(())
-    }
-
-    /// Executes an answer, or goes on without.
-    fn act(
-        &mut self,
-        Outcome {
-            rounds,
-            reply,
-            interruption,
-        }: Outcome<A::Answer>,
-        observation: &A::Observation<'_>,
-        seen: GraphedScene<'_>,
-    ) -> Result<(Vec<Attempt>, Decision), PlannerError> {
-        let was_asked = !rounds.is_empty() || reply.answer.is_some();
-        let mut attempt = Attempt::of_rounds(rounds);
-        (attempt.answer, attempt.errors) = (reply.answer.map(Into::into), reply.errors);
-        let decision = match (reply.answer, reply.unreadable, interruption) {
-            (_, _, Some(why)) => self.keep_or_brake(NoPlan::Interrupted(why)),
-            (Some(answer), None, None) => {
-                let trajectory = self.agent.adopt(answer, observation, seen)?;
-                let states = trajectory.states().iter().take(RECORDED_STATES);
-                attempt.path = states.map(|state| state.rear_axle).collect();
-                self.has_plan = true;
-                Decision::Execute(0)
-            }
-            (_, unreadable, None) => {
-                let why = unreadable.unwrap_or(planagent_agent::planner::Unreadable::NoAttempt);
-                self.keep_or_brake(NoPlan::Unreadable(why))
-            }
-        };
-        // The active plan must still reach as far ahead as a new one would.
-        if decision.attempt().is_none() && self.has_plan {
-            self.agent.go_on(seen)?;
-        }
-        let attempts = if was_asked { vec![attempt] } else { Vec::new() };
-        Ok((attempts, decision))
     }
 }
 
-impl<A: LanguageAgent> Planner for LanguagePlanner<A> {
+impl<A: ChatAgent> Planner for LanguagePlanner<A> {
     fn name(&self) -> &str {
         self.name.as_str()
     }
@@ -230,7 +234,13 @@ impl<A: LanguageAgent> Planner for LanguagePlanner<A> {
         self.clock.step(input.scene.ego.time_us);
         if self.clock.is_due(self.agent.interval_s()) {
             self.clock.set_called();
-            self.call(input)?;
+            let at_s = self.clock.elapsed_s(input.scene.ego.time_us);
+            let (call, plan) = planning_call(self, input, at_s, Instant::now())?;
+            self.calls.push(call);
+            if let Some(plan) = plan {
+                self.agent.adopt(plan);
+                self.has_plan = true;
+            }
         }
         let planned = if self.has_plan {
             self.agent.trajectory(input)?

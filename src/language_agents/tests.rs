@@ -19,15 +19,15 @@ use std::sync::{Arc, Mutex};
 
 /// Answers a question by a function of the question and its number; keeps the questions.
 pub(crate) struct Stub {
-    answer: fn(&str, usize) -> String,
+    answer: Box<dyn Fn(&str, usize) -> String + Send + Sync>,
     finish: FinishReason,
     pub(crate) asked: Mutex<Vec<(String, Constraint)>>,
 }
 
 impl Stub {
-    pub(crate) fn new(answer: fn(&str, usize) -> String) -> Arc<Self> {
+    pub(crate) fn new(answer: impl Fn(&str, usize) -> String + Send + Sync + 'static) -> Arc<Self> {
         Arc::new(Self {
-            answer,
+            answer: Box::new(answer),
             finish: FinishReason::Complete,
             asked: Mutex::default(),
         })
@@ -35,7 +35,7 @@ impl Stub {
 
     fn cut_off(answer: fn(&str, usize) -> String) -> Arc<Self> {
         Arc::new(Self {
-            answer,
+            answer: Box::new(answer),
             finish: FinishReason::Length,
             asked: Mutex::default(),
         })
@@ -268,6 +268,86 @@ pub(crate) fn asked_seldom() -> PlanAgentSettings {
     PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()
+    }
+}
+
+/// Answers that are no plan of any agent.
+fn bad_answers() -> Vec<String> {
+    let steady = "(0,1), (0,2), (0,3), (0,4), (0,5), (0,6)";
+    let texts = [
+        "\u{0}",
+        "YES",
+        "####",
+        "#### 9",
+        "#### -1",
+        "#### 1.",
+        "#### \u{ff11}",
+        "#### 99999999999999999999999999",
+        "[",
+        "[[[[",
+        "é[(ü",
+        "Trajectory:",
+        "Trajectory: []",
+        "[(1,1)]",
+        "Trajectory: [(0,NaN), (0,2), (0,3), (0,4), (0,5), (0,6)]",
+        "Trajectory: [(0,400), (0,2), (0,3), (0,4), (0,5), (0,6)]",
+        "Trajectory: {\"x\": 1}",
+    ];
+    let long = [
+        "(".repeat(50_000),
+        "trajectory ".repeat(50_000),
+        "[(".repeat(50_000),
+        "####".repeat(50_000),
+        format!("Trajectory: [{}]", "(0,1), ".repeat(20_000)),
+        format!("Trajectory: [{steady}] [{steady}]"),
+    ];
+    texts.map(str::to_owned).into_iter().chain(long).collect()
+}
+
+#[test]
+fn no_bad_answer_of_any_agent_is_lost_without_a_reason() {
+    let (scenario, settings) = (default_scene(), asked_seldom());
+    let drive_by = |agent: &str, answer: &str| {
+        let answer = answer.to_owned();
+        let model = Stub::new(move |_, _| answer.clone());
+        drive(
+            agent,
+            Some(model),
+            &scenario,
+            Challenge::NonReactive,
+            &settings,
+        )
+        .0
+    };
+    for agent in ["gpt-driver", "dilu", "agent-driver"] {
+        for answer in bad_answers() {
+            let beginning: String = answer.chars().take(40).collect();
+            for call in drive_by(agent, &answer) {
+                assert!(
+                    matches!(call.decision, Decision::Brake(NoPlan::Unreadable(_))),
+                    "{agent}, {beginning}: {:?}",
+                    call.decision
+                );
+                assert!(call.parse_errors() > 0, "{agent}, {beginning}");
+                for error in &call.attempts[0].errors {
+                    assert!(
+                        error.span.start <= error.span.end
+                            && error.span.end <= answer.len()
+                            && error.message.len() < 300,
+                        "{agent}, {beginning}: {error}"
+                    );
+                }
+            }
+        }
+        for answer in ["", " \n"] {
+            let cause = Decision::Brake(NoPlan::Unreadable(Unreadable::Empty));
+            let calls = drive_by(agent, answer);
+            assert!(
+                calls.iter().all(|call| call.decision == cause),
+                "{agent}: {:?}",
+                calls[0].decision
+            );
+        }
     }
 }
 

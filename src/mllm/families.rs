@@ -28,6 +28,7 @@ const BUILT_IN: &[&Family] = &[
     &text_only::QWEN2,
     &text_only::QWEN3,
     &text_only::GEMMA3,
+    &text_only::GEMMA3N,
     &text_only::GEMMA4,
     &text_only::LFM2,
     &text_only::QWEN35,

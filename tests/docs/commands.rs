@@ -264,6 +264,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         WEIGHTS,
     ),
     (
+        "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 28 --challenge both --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
+        "docs/results.md",
+        "planagent simulate --scenario folder/of/recordings --shuffle --limit 10 --challenge both --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
         "docs/models.md",
         "planagent simulate --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
         WEIGHTS,

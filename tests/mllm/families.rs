@@ -90,13 +90,14 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 }
 
 /// Families without a vision tower, which the decoders of the others are checkpoints of
-/// (`src/mllm/local/text_only_tests.rs`), but for the last three.
-const TEXT_ONLY: [&str; 7] = [
+/// (`src/mllm/local/text_only_tests.rs`), but for some of Gemma and LFM2.
+const TEXT_ONLY: [&str; 8] = [
     "llama",
     "qwen2",
     "qwen3",
     "qwen3_5_text",
     "gemma3_text",
+    "gemma3n",
     "gemma4_text",
     "lfm2",
 ];

@@ -10,44 +10,69 @@ use planagent_world::geometry::Pose;
 use std::time::Instant;
 
 /// What is asked for in a planning call, and how an answer is tried out.
-pub(super) trait Question {
+pub trait Question {
     /// The line that is asked for.
     type Answer: Copy + Into<PlannerAnswer>;
     /// The plan that it stands for.
     type Plan;
 
-    /// The next answer; `None` when there are no more.
+    /// The next answer, asked for by the agent's prompts and under its grammar; `None` when there
+    /// are no more.
+    ///
+    /// # Errors
+    /// When the model cannot be asked at all. A wrong answer is no such error.
     fn ask(
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<Option<ReasoningTrace<Self::Answer>>, ReasoningError>;
 
     /// The plan of an answer with its reflection; `None` when the answer stands for no plan here.
+    ///
+    /// # Errors
+    /// When the plan has no finite states.
     fn try_out(&mut self, answer: Self::Answer) -> Result<Option<Trial<Self::Plan>>, PlannerError>;
+
+    /// What is wrong with the last answer, where more is known than its record tells.
+    fn unreadable(&self) -> Option<Unreadable> {
+        None
+    }
 }
 
 /// A plan that was tried out.
-pub(super) struct Trial<P> {
-    pub(super) plan: P,
-    pub(super) path: Vec<Pose>,
+#[derive(Debug)]
+pub struct Trial<P> {
+    /// The plan.
+    pub plan: P,
+    /// Where it leads, map frame.
+    pub path: Vec<Pose>,
     /// `None` with Reflection off.
-    pub(super) reflection: Option<ReflectionReport>,
+    pub reflection: Option<ReflectionReport>,
     /// The score that the plan needs.
-    pub(super) threshold: f64,
+    pub threshold: f64,
 }
 
 /// When the attempts of a planning call end.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct AttemptLimits {
+pub struct AttemptLimits {
     /// Maximum number of attempts.
-    pub(super) max_exec: usize,
+    pub max_exec: usize,
     /// The score that a plan needs unless its trial says otherwise.
-    pub(super) threshold: f64,
+    pub threshold: f64,
     /// Whether all answers are tried out and the best one is kept, however many there are.
-    pub(super) compares: bool,
+    pub compares: bool,
+}
+
+impl AttemptLimits {
+    /// One attempt, whose plan needs no score.
+    pub const ONE: Self = Self {
+        max_exec: 1,
+        threshold: 0.0,
+        compares: false,
+    };
 }
 
 /// An attempt with its plan.
+#[derive(Debug)]
 struct Tried<P> {
     record: Attempt,
     plan: Option<P>,
@@ -68,22 +93,32 @@ impl<P> Tried<P> {
 }
 
 /// The attempts of a planning call.
-pub(super) struct Attempts<P> {
+#[derive(Debug)]
+pub struct Attempts<P> {
     tried: Vec<Tried<P>>,
     /// Why the call ended early.
     pub(super) interruption: Option<Interruption>,
+    /// What the question says of the last answer.
+    unreadable: Option<Unreadable>,
+    /// The score of the plan that is driven where no attempt is accepted, if there is one.
+    pub(super) rival: Option<f64>,
 }
 
 impl<P> Attempts<P> {
-    pub(super) const NONE: Self = Self {
+    const NONE: Self = Self {
         tried: Vec::new(),
         interruption: None,
+        unreadable: None,
+        rival: None,
     };
 
     /// Attempts until a plan is accepted, the maximum is reached, or the call is interrupted.
     /// `observation_ms` is the time that Reflection took to observe the scene; the first attempt's
     /// record contains it.
-    pub(super) fn make<Q: Question<Plan = P>>(
+    ///
+    /// # Errors
+    /// As of [`Question::ask`] and [`Question::try_out`].
+    pub fn make<Q: Question<Plan = P>>(
         question: &mut Q,
         limits: AttemptLimits,
         mut observation_ms: f64,
@@ -122,6 +157,7 @@ impl<P> Attempts<P> {
                 break;
             }
         }
+        attempts.unreadable = question.unreadable();
         Ok(attempts)
     }
 
@@ -178,9 +214,11 @@ impl<P> Attempts<P> {
 
     /// What is wrong with the last attempt, where none has a plan.
     pub(super) fn unreadable(&self) -> Unreadable {
-        self.tried.last().map_or(Unreadable::NoAttempt, |tried| {
-            Unreadable::in_attempt(&tried.record)
-        })
+        let Some(last) = self.tried.last() else {
+            return Unreadable::NoAttempt;
+        };
+        self.unreadable
+            .unwrap_or_else(|| Unreadable::in_attempt(&last.record))
     }
 
     /// The last attempt with a plan.

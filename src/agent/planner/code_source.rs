@@ -1,12 +1,13 @@
 //! Where the agent's planner codes come from: a vision-language model, a person, or a list without a
 //! model.
 
+use super::language_agent::CallTerms;
 use crate::environment::LaneGraph;
 use crate::reasoning::{
     AnswerHistory, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
     ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse,
 };
-use planagent_mllm::{Deadline, Mllm, MllmError};
+use planagent_mllm::{Mllm, MllmError};
 use std::sync::Arc;
 
 /// The source of an agent's planner codes.
@@ -109,16 +110,14 @@ impl CodeSource {
         }
     }
 
-    /// Begins a planning call. `history` has the answers of the simulation so far.
+    /// Begins a planning call of at most this many attempts, unless all codes are compared.
+    /// `history` has the answers of the simulation so far.
     pub(super) fn open<'a>(
         &'a self,
         scenario: &'a ScenarioPrompt,
         graph: &LaneGraph,
-        CodesAsked {
-            seed,
-            deadline,
-            attempts,
-        }: CodesAsked,
+        CallTerms { seed, deadline }: CallTerms,
+        attempts: usize,
         history: &'a mut AnswerHistory,
     ) -> Result<Codes<'a>, ReasoningError> {
         // One match: an arm is a source. Only a model needs the prompt, the deadline and the
@@ -152,15 +151,6 @@ impl CodeSource {
             }
         })
     }
-}
-
-/// What a planning call asks for.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct CodesAsked {
-    pub(super) seed: u64,
-    pub(super) deadline: Deadline,
-    /// Maximum number of attempts.
-    pub(super) attempts: usize,
 }
 
 /// The codes of one planning call, one for each attempt.

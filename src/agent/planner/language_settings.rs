@@ -69,6 +69,14 @@ impl LanguageAgentSettings {
             .flatten()
     }
 
+    /// The same without memories.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn without_memories(mut self) -> Self {
+        (self.dilu.memory, self.agent_driver.memory) = (None, None);
+        self
+    }
+
     /// Those of one planner alone, by the planner's name; of another planner, the defaults.
     #[doc(hidden)]
     #[must_use]

@@ -12,6 +12,7 @@ mod error;
 mod exec;
 mod gated;
 mod idm;
+mod language_agent;
 mod language_settings;
 mod latency;
 mod layer;
@@ -34,6 +35,7 @@ mod unreadable;
 mod waypoint_path;
 
 pub use agent_state::{ActivePlan, AgentState};
+pub use attempts::{AttemptLimits, Attempts, Question, Trial};
 pub use clock::Clock;
 pub use code_source::{CodeCall, CodeList, CodeSource};
 pub use codes::{DEFAULT_ACCELERATIONS, fixed_code, grid_codes, plain_codes, planner_code};
@@ -45,6 +47,7 @@ pub use exec::{
 };
 pub use gated::Gated;
 pub use idm::IdmPlanner;
+pub use language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
 pub use language_settings::{
     AgentDriverSettings, DiluSettings, GptDriverSettings, LanguageAgentSettings,
 };

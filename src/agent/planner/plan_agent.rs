@@ -4,8 +4,9 @@
 use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
 use super::code_question::{CodeQuestion, begins_lane_change};
-use super::code_source::{CodeSource, CodesAsked};
+use super::code_source::CodeSource;
 use super::codes::further_codes;
+use super::language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
 use super::layer::AgentLayer;
 use super::layered::with_layers;
 use super::model_input::ModelInput;
@@ -13,12 +14,12 @@ use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
-use crate::environment::{GraphedScene, LaneGraph};
+use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
-use planagent_mllm::{Deadline, image_hash, milliseconds};
+use planagent_mllm::milliseconds;
 use planagent_score::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
-use planagent_world::Trajectory;
+use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
@@ -57,15 +58,57 @@ impl PlanAgent {
         with_layers(Box::new(self), &settings)
     }
 
-    /// Reasoning and Reflection: the attempts, and the score of the active plan where it may be
-    /// kept instead of a refused one.
-    fn attempt(
+    /// Whether a refused plan may leave the ego's lane: something blocks that lane, other lanes are
+    /// tried there, and the plan scores λ. Staying needs more than λ, too, so the better of both is
+    /// executed.
+    /// Why: docs/decisions/132-past-at-once.md.
+    fn may_leave(&self, graph: &LaneGraph, refused: Option<&Attempt>) -> bool {
+        self.settings.reflection.further_codes
+            && graph.stop_point().is_some()
+            && refused
+                .and_then(|attempt| attempt.reflection.as_ref())
+                .is_some_and(|report| report.score >= self.settings.reflection.threshold)
+    }
+}
+
+impl LanguageAgent for PlanAgent {
+    type Observation<'a> = ScenarioPrompt;
+    type Plan = IdmPlan;
+
+    fn settings(&self) -> &PlanAgentSettings {
+        &self.settings
+    }
+
+    fn lane_graph(&self, scene: &SceneView<'_>) -> Result<LaneGraph, LaneGraphError> {
+        self.state.lane_graph(scene)
+    }
+
+    fn observe(&mut self, seen: GraphedScene<'_>) -> Result<ScenarioPrompt, PlannerError> {
+        let input = ModelInput {
+            planner: self.state.name,
+            source: &self.source,
+            settings: &self.settings,
+            shuffled_bev: self.shuffled_bev.as_ref(),
+        };
+        input.scenario_prompt(seen)
+    }
+
+    fn shown(&self, prompt: &ScenarioPrompt) -> Shown {
+        Shown {
+            image: prompt.image.clone(),
+            text: prompt.text.clone(),
+            forms: self.source.prompts().map(|prompts| *prompts.forms()),
+        }
+    }
+
+    /// Reasoning and Reflection. The active plan is a rival where it may be kept instead of a
+    /// refused one.
+    fn attempts(
         &mut self,
-        seen: GraphedScene<'_>,
         prompt: &ScenarioPrompt,
-        seed: u64,
-        deadline: Deadline,
-    ) -> Result<(Attempts<IdmPlan>, Option<f64>), PlannerError> {
+        seen: GraphedScene<'_>,
+        terms: CallTerms,
+    ) -> Result<Attempts<IdmPlan>, PlannerError> {
         let Self {
             state,
             source,
@@ -80,16 +123,8 @@ impl PlanAgent {
             max_exec,
             ..
         } = settings.reflection;
-        let codes = source.open(
-            prompt,
-            graph,
-            CodesAsked {
-                seed,
-                deadline,
-                attempts: max_exec,
-            },
-            history,
-        )?;
+        let takes_best = settings.reflection.after_max_exec == AfterMaxExec::Best;
+        let codes = source.open(prompt, graph, terms, max_exec, history)?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
             Some(Judge::of_plans(
@@ -116,55 +151,63 @@ impl PlanAgent {
             compares: source.compares(),
         };
         let mut attempts = Attempts::make(&mut question, limits, observation_ms)?;
-        let tries_further = settings.reflection.further_codes
-            && settings.reflection.after_max_exec == AfterMaxExec::Best;
-        if tries_further && attempts.are_refused() {
+        if settings.reflection.further_codes && takes_best && attempts.are_refused() {
             attempts.try_further(&mut question, further_codes(graph))?;
         }
         // Judged only where all attempts are refused: else the active plan ends anyway.
-        let active = match (&judge, state.active_plan()) {
-            (Some(judge), Some(active))
-                if attempts.accepted().is_none()
-                    && settings.reflection.after_max_exec == AfterMaxExec::Best =>
-            {
-                let extended = state.builder.extend(active, seen)?;
-                Some(judge.reflect(&extended, threshold)?.score)
-            }
-            _ => None,
-        };
-        Ok((attempts, active))
+        if let (Some(judge), Some(active)) = (&judge, state.active_plan())
+            && attempts.accepted().is_none()
+            && takes_best
+        {
+            let extended = state.builder.extend(active, seen)?;
+            attempts.rival = Some(judge.reflect(&extended, threshold)?.score);
+        }
+        Ok(attempts)
     }
 
-    fn decide(&self, attempts: &Attempts<IdmPlan>, active: Option<f64>) -> Decision {
+    fn decide(&self, attempts: &Attempts<IdmPlan>) -> Decision {
         let refused = match self.settings.reflection.after_max_exec {
             AfterMaxExec::Last => attempts.last(),
             AfterMaxExec::Best => attempts.best(),
         };
         match (attempts.accepted(), &attempts.interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
-            (None, Some(why), _) => self.state.keep_or_brake(NoPlan::Interrupted(why.clone())),
+            (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),
             (None, None, Some(index))
-                if active.is_some_and(|active| active > attempts.score(index)) =>
+                if attempts
+                    .rival
+                    .is_some_and(|active| active > attempts.score(index)) =>
             {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
-            (None, None, None) => self
-                .state
-                .keep_or_brake(NoPlan::Unreadable(attempts.unreadable())),
+            (None, None, None) => self.without_plan(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
 
-    /// Whether a refused plan may leave the ego's lane: something blocks that lane, other lanes are
-    /// tried there, and the plan scores λ. Staying needs more than λ, too, so the better of both is
-    /// executed.
-    /// Why: docs/decisions/132-past-at-once.md.
-    fn may_leave(&self, graph: &LaneGraph, refused: Option<&Attempt>) -> bool {
-        self.settings.reflection.further_codes
-            && graph.stop_point().is_some()
-            && refused
-                .and_then(|attempt| attempt.reflection.as_ref())
-                .is_some_and(|report| report.score >= self.settings.reflection.threshold)
+    fn without_plan(&self, why: NoPlan) -> Decision {
+        self.state.keep_or_brake(why)
+    }
+
+    /// A refused plan that becomes active after the last attempt begins no lane change but out of a
+    /// blocked lane: its code is executed in the ego's lane.
+    /// Why: docs/decisions/102-lane-change-threshold.md.
+    fn settle(
+        &mut self,
+        mut plan: IdmPlan,
+        call: &mut PlanningCall,
+        seen: GraphedScene<'_>,
+    ) -> Result<IdmPlan, PlannerError> {
+        if matches!(call.decision, Decision::Exhausted(_))
+            && self.settings.reflection.after_max_exec == AfterMaxExec::Best
+            && !self.may_leave(seen.graph, call.accepted())
+            && begins_lane_change(&plan, seen, &self.state)
+            && let Some(back) = self.state.builder.back_to_ego_lane(&plan, seen)?
+        {
+            (plan, call.aborted_lane_change) = (back, Some(call.iteration));
+        }
+        self.state.note_lane_change(&plan, seen);
+        Ok(plan)
     }
 }
 
@@ -186,83 +229,14 @@ impl AgentLayer for PlanAgent {
         Ok(())
     }
 
-    /// One planning call. A refused plan that becomes active after the last attempt begins no lane
-    /// change but out of a blocked lane: its code is executed in the ego's lane.
-    /// Why: docs/decisions/102-lane-change-threshold.md.
     fn plan(
         &mut self,
         input: &PlannerInput<'_>,
         started: Instant,
     ) -> Result<Option<ActivePlan>, PlannerError> {
-        let (scene, iteration) = (&input.scene, input.iteration);
-        let at_s = self.state.clock.elapsed_s(scene.ego.time_us);
-        let deadline = self
-            .settings
-            .deadline()
-            .map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
-        let graph = match self.state.lane_graph(scene) {
-            Ok(graph) => graph,
-            Err(error) => {
-                let decision = self
-                    .state
-                    .keep_or_brake(NoPlan::NoLaneGraph(error.to_string()));
-                let total_ms = milliseconds(started.elapsed());
-                self.state.calls.push(PlanningCall::without_attempts(
-                    iteration, at_s, decision, total_ms,
-                ));
-                return Ok(None);
-            }
-        };
-        let Self {
-            state,
-            source,
-            settings,
-            shuffled_bev,
-            ..
-        } = &*self;
-        let input = ModelInput {
-            planner: state.name,
-            source,
-            settings,
-            shuffled_bev: shuffled_bev.as_ref(),
-        };
-        let seen = GraphedScene::new(scene, &graph);
-        let prompt = input.scenario_prompt(seen)?;
-        let environment_ms = milliseconds(started.elapsed());
-        let seed = self.settings.call_seed(iteration);
-        let (attempts, active) = self.attempt(seen, &prompt, seed, deadline)?;
-        let decision = self.decide(&attempts, active);
-        let (attempts, mut plan) = attempts.into_records(decision.attempt());
-        let mut aborted_lane_change = None;
-        let executed = decision.attempt().and_then(|index| attempts.get(index));
-        // A refused plan may become active, but must not begin a lane change in a free lane.
-        if !self.may_leave(&graph, executed)
-            && let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
-                (&decision, self.settings.reflection.after_max_exec, &plan)
-            && begins_lane_change(refused, seen, &self.state)
-            && let Some(back) = self.state.builder.back_to_ego_lane(refused, seen)?
-        {
-            (plan, aborted_lane_change) = (Some(back), Some(iteration));
-        }
-        if let Some(plan) = &plan {
-            self.state.note_lane_change(plan, seen);
-        }
-        self.state.calls.push(PlanningCall {
-            iteration,
-            at_s,
-            image_hash: prompt.image.as_deref().map(image_hash),
-            image: prompt.image,
-            scene_text: prompt.text,
-            forms: self.source.prompts().map(|prompts| *prompts.forms()),
-            attempts,
-            decision,
-            emergency_brakes: 0,
-            handovers: 0,
-            aborted_lane_change,
-            active_from: None,
-            environment_ms,
-            total_ms: milliseconds(started.elapsed()),
-        });
+        let at_s = self.state.clock.elapsed_s(input.scene.ego.time_us);
+        let (call, plan) = planning_call(self, input, at_s, started)?;
+        self.state.calls.push(call);
         Ok(plan.map(ActivePlan::from))
     }
 

@@ -100,7 +100,7 @@ impl From<MllmError> for Interruption {
 
 /// The outcome of one attempt's rounds.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct ReasoningTrace<A> {
+pub struct ReasoningTrace<A> {
     /// The rounds that were answered.
     pub rounds: Vec<RoundRecord>,
     /// Why the later rounds were not answered; `None` when all were.
@@ -115,12 +115,12 @@ pub(crate) struct ReasoningTrace<A> {
 
 impl<A> ReasoningTrace<A> {
     /// An answer that no model gave.
-    pub(crate) fn without_rounds(answer: A) -> Self {
+    pub fn without_rounds(answer: A) -> Self {
         Self::of_parsed(Parsed::from_answer(answer))
     }
 
     /// A line that no model gave, as it was read.
-    pub(crate) fn of_parsed(parsed: Parsed<A>) -> Self {
+    pub fn of_parsed(parsed: Parsed<A>) -> Self {
         Self {
             rounds: Vec::new(),
             interruption: None,

@@ -34,10 +34,9 @@ pub use call_parser::ParseError;
 pub use code::{FUNCTION, Names, PlannerCode, Range};
 pub use code_parser::{Parsed, parse};
 pub use config::ReasoningConfig;
-pub(crate) use engine::ReasoningTrace;
 pub use engine::{
-    Feedback, Interruption, Reasoning, ReasoningSettings, RoundRecord, ScenarioPrompt,
-    feedback_text, round_prompt, round_record, system_prompt,
+    Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord,
+    ScenarioPrompt, feedback_text, round_prompt, round_record, system_prompt,
 };
 pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};

@@ -42,80 +42,107 @@ pub enum SceneText {
     AgentDriver,
 }
 
+/// What the table says of a description, and how one is made.
+struct Row {
+    text: SceneText,
+    name: &'static str,
+    definition: &'static str,
+    /// What the paper counts for it on nuPlan; of GPT-Driver's text it does not say which part.
+    published: Option<f64>,
+    describe: fn(GraphedScene<'_>) -> String,
+}
+
+/// The descriptions in the order of the table.
+const ROWS: [Row; 7] = [
+    Row {
+        text: SceneText::GptDriver,
+        name: "GPT-Driver, whole user message",
+        definition: "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
+                     ego's motion in six lines; four past positions; the goal. Coordinates have two decimals",
+        published: Some(448.66),
+        describe: |seen| GptDriverText::from_scene(seen.scene, seen.graph).whole(),
+    },
+    Row {
+        text: SceneText::GptDriverObjects,
+        name: "GPT-Driver, objects alone",
+        definition: "only the objects",
+        published: None,
+        describe: |seen| GptDriverText::from_scene(seen.scene, seen.graph).objects,
+    },
+    Row {
+        text: SceneText::LlmAssist,
+        name: "LLM-ASSIST, rewritten",
+        definition: "its prompts are not public, so we chose the facts: the ego's motion; the centerlines of its lane and the \
+                     adjacent lanes at five points; lights; the ten nearest objects within 50 m with position, heading, speed \
+                     and size",
+        published: Some(425.81),
+        describe: |seen| llm_assist_text(seen.scene, seen.graph),
+    },
+    Row {
+        text: SceneText::Dilu,
+        name: "DiLu, description",
+        definition: "its published facts in our sentences: lanes; the ego's motion and set-points; the nearest object ahead and \
+                     behind on its lane and those beside; with ours, the light and the route. Numbers have two decimals",
+        published: None,
+        describe: dilu_text,
+    },
+    Row {
+        text: SceneText::AgentDriver,
+        name: "Agent-Driver, motion and four tools",
+        definition: "GPT-Driver's lines about the ego, and what four of its tools tell: the objects within 20 m, where they go, \
+                     whether the place ahead is occupied, and the edges of the road",
+        published: None,
+        describe: agent_driver_text,
+    },
+    Row {
+        text: SceneText::Paper,
+        name: "PlanAgent, lane graph (paper prompts)",
+        definition: "the node of the ego and its eight neighbors; every agent on them with distance and speed; the lights of all \
+                     lanes; the ego's speed and limit; the route. Numbers are whole meters and m/s",
+        published: Some(141.32),
+        describe: |seen| write(&Description::from_graph(seen.graph), TextForm::Paper),
+    },
+    Row {
+        text: SceneText::Compact,
+        name: "PlanAgent, lane graph (compact prompts)",
+        definition: "the same nodes, each with its nearest agent and the number of others, at fixed positions",
+        published: None,
+        describe: |seen| write(&Description::from_graph(seen.graph), TextForm::Compact),
+    },
+];
+
 impl SceneText {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 7] = [
-        Self::GptDriver,
-        Self::GptDriverObjects,
-        Self::LlmAssist,
-        Self::Dilu,
-        Self::AgentDriver,
-        Self::Paper,
-        Self::Compact,
-    ];
+    pub const ALL: [Self; ROWS.len()] = {
+        let (mut all, mut i) = ([Self::Paper; ROWS.len()], 0);
+        while i < all.len() {
+            all[i] = ROWS[i].text;
+            i += 1;
+        }
+        all
+    };
+
+    fn row(self) -> &'static Row {
+        ROWS.iter()
+            .find(|row| row.text == self)
+            .expect("each description has a row")
+    }
 
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Paper => "PlanAgent, lane graph (paper prompts)",
-            Self::Compact => "PlanAgent, lane graph (compact prompts)",
-            Self::GptDriver => "GPT-Driver, whole user message",
-            Self::GptDriverObjects => "GPT-Driver, objects alone",
-            Self::LlmAssist => "LLM-ASSIST, rewritten",
-            Self::Dilu => "DiLu, description",
-            Self::AgentDriver => "Agent-Driver, motion and four tools",
-        }
+        self.row().name
     }
 
     pub fn definition(self) -> &'static str {
-        match self {
-            Self::Paper => {
-                "the node of the ego and its eight neighbors; every agent on them with distance and speed; the lights of all \
-                 lanes; the ego's speed and limit; the route. Numbers are whole meters and m/s"
-            }
-            Self::Compact => {
-                "the same nodes, each with its nearest agent and the number of others, at fixed positions"
-            }
-            Self::GptDriver => {
-                "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
-                 ego's motion in six lines; four past positions; the goal. Coordinates have two decimals"
-            }
-            Self::GptDriverObjects => "only the objects",
-            Self::LlmAssist => {
-                "its prompts are not public, so we chose the facts: the ego's motion; the centerlines of its lane and the \
-                 adjacent lanes at five points; lights; the ten nearest objects within 50 m with position, heading, speed \
-                 and size"
-            }
-            Self::Dilu => {
-                "its published facts in our sentences: lanes; the ego's motion and set-points; the nearest object ahead and \
-                 behind on its lane and those beside; with ours, the light and the route. Numbers have two decimals"
-            }
-            Self::AgentDriver => {
-                "GPT-Driver's lines about the ego, and what four of its tools tell: the objects within 20 m, where they go, \
-                 whether the place ahead is occupied, and the edges of the road"
-            }
-        }
+        self.row().definition
     }
 
-    /// What the paper counts for it on nuPlan; of GPT-Driver's text it does not say which part.
+    /// What the paper counts for it on nuPlan.
     pub fn published(self) -> Option<f64> {
-        match self {
-            Self::Paper => Some(141.32),
-            Self::GptDriver => Some(448.66),
-            Self::LlmAssist => Some(425.81),
-            Self::Compact | Self::GptDriverObjects | Self::Dilu | Self::AgentDriver => None,
-        }
+        self.row().published
     }
 
     pub fn describe(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
-        match self {
-            Self::Paper => write(&Description::from_graph(graph), TextForm::Paper),
-            Self::Compact => write(&Description::from_graph(graph), TextForm::Compact),
-            Self::GptDriver => GptDriverText::from_scene(scene, graph).whole(),
-            Self::GptDriverObjects => GptDriverText::from_scene(scene, graph).objects,
-            Self::LlmAssist => llm_assist_text(scene, graph),
-            Self::Dilu => dilu_text(GraphedScene::new(scene, graph)),
-            Self::AgentDriver => agent_driver_text(GraphedScene::new(scene, graph)),
-        }
+        (self.row().describe)(GraphedScene::new(scene, graph))
     }
 }
 

@@ -11,10 +11,10 @@ mod tools;
 
 pub use fill::experience;
 
-use crate::agent::{LanguageAgent, Reply};
+use crate::agent::{ChatAgent, Parts, Reply, beginning};
 use crate::chat::{Asked, Chat};
 use crate::gpt_driver::{action, reasons};
-use crate::memory::{ExperienceItem, Memory};
+use crate::memory::{ExperienceItem, Memory, open};
 use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, waypoint_grammar};
 use check::checked;
 use experience::{CANDIDATES, nearest};
@@ -30,8 +30,9 @@ use planagent_world::Trajectory;
 use std::sync::Arc;
 use tools::{Facts, Group, call_grammar};
 
-/// Name of the planner, and of the folder of its prompts.
-pub(crate) const NAME: &str = "agent-driver";
+/// Name of the planner.
+const NAME: &str = "agent-driver";
+/// The folder of its prompts.
 const PROMPTS: &str = "agent_driver";
 macro_rules! texts {
     ($($name:literal),*) => {
@@ -49,17 +50,48 @@ const TEXTS: [(&str, &str); 9] = texts![
     "planning_system.jinja",
     "planning.jinja"
 ];
+/// The answers to whether a kind of facts is needed.
+const YES: &str = "YES";
+const NO: &str = "NO";
 /// Maximum tokens of YES or NO, and of the number of an experience.
 const WORD_TOKENS: usize = 8;
 /// Maximum tokens of a call of a tool.
 const CALL_TOKENS: usize = 64;
+/// An answer that keeps to its maximum of tokens has at most this many bytes a token.
+const MAX_TOKEN_BYTES: usize = 16;
 /// Objects that reasons may name under the grammar, the nearest.
 const NAMED_OBJECTS: usize = 12;
 /// The name of the last stage in records.
 const CHECK: &str = "collision_check";
 
+/// An error of a whole answer.
+fn in_whole(answer: &str, message: String, hint: String) -> ParseError {
+    ParseError {
+        span: 0..answer.len(),
+        message,
+        hint,
+    }
+}
+
+/// What it is made of.
+pub(crate) const PARTS: Parts<AgentDriver> = Parts {
+    name: NAME,
+    prompts,
+    memory: |settings| settings.agent_driver.memory.as_deref(),
+    make: |settings, prompts| {
+        let settings = settings.agent_driver.clone();
+        let memory = open(settings.memory.as_deref(), NAME)?;
+        Ok(AgentDriver {
+            settings,
+            prompts,
+            memory: Arc::new(memory),
+            track: WaypointTrack::default(),
+        })
+    },
+};
+
 /// The prompts of this agent.
-pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+fn prompts() -> Result<QuestionPrompts, PromptError> {
     QuestionPrompts::open(PROMPTS, &TEXTS)
 }
 
@@ -89,24 +121,12 @@ pub(crate) struct AgentDriver {
 }
 
 impl AgentDriver {
-    pub(crate) fn new(
-        settings: AgentDriverSettings,
-        prompts: Arc<QuestionPrompts>,
-        memory: Memory<ExperienceItem>,
-    ) -> Self {
-        Self {
-            settings,
-            prompts,
-            memory: Arc::new(memory),
-            track: WaypointTrack::default(),
-        }
-    }
-
     /// Asks for the facts of each kind: whether they are needed, and then which.
     fn perceive(
         &self,
         observation: &Observation<'_>,
         chat: &mut Chat<'_>,
+        errors: &mut Vec<ParseError>,
     ) -> Result<Vec<String>, ReasoningError> {
         let ego = &observation.text;
         chat.open(
@@ -120,14 +140,22 @@ impl AgentDriver {
                 prompt: self
                     .prompts
                     .render("need", context! { group => group.name() })?,
-                constraint: any_of(["YES", "NO"]),
+                constraint: any_of([YES, NO]),
                 max_tokens: WORD_TOKENS,
             };
             let Some(answer) = chat.ask(need)? else {
                 break;
             };
-            // As in the original, anything else is a NO.
-            if answer != "YES" {
+            // As in the original, anything else is a NO; here it is counted as an error too.
+            if answer != YES {
+                if answer.trim() != NO {
+                    let message = format!(
+                        "need of {}: '{}' is neither {YES} nor {NO}, and counts as {NO}",
+                        group.name(),
+                        beginning(&answer)
+                    );
+                    errors.push(in_whole(&answer, message, format!("answer {YES} or {NO}")));
+                }
                 continue;
             }
             let lines: Vec<String> = group.tools().map(tools::Tool::line).collect();
@@ -187,11 +215,12 @@ impl AgentDriver {
             .and_then(|place| candidates.get(place))
         else {
             // A wrong number costs the experience and not the call: a plan does not need one.
-            errors.push(ParseError {
-                span: 0..answer.len(),
-                message: "this is no number of an experience; none is given".to_owned(),
-                hint: format!("write one of 1 to {}", candidates.len().min(CANDIDATES)),
-            });
+            let message = format!(
+                "experience: '{}' is no number of one; none is given",
+                beginning(&answer)
+            );
+            let hint = format!("write one of 1 to {}", candidates.len().min(CANDIDATES));
+            errors.push(in_whole(&answer, message, hint));
             return Ok(None);
         };
         Ok(Some(format!(
@@ -209,9 +238,10 @@ pub(crate) struct Observation<'a> {
     facts: Facts<'a>,
 }
 
-impl LanguageAgent for AgentDriver {
+impl ChatAgent for AgentDriver {
     type Observation<'a> = Observation<'a>;
     type Answer = WaypointList;
+    type Plan = Trajectory;
 
     fn interval_s(&self) -> f64 {
         self.settings.interval_s
@@ -241,11 +271,12 @@ impl LanguageAgent for AgentDriver {
         chat: &mut Chat<'_>,
     ) -> Result<Reply<WaypointList>, ReasoningError> {
         let mut errors = Vec::new();
-        let facts = self.perceive(observation, chat)?.join("\n\n");
+        let facts = self.perceive(observation, chat, &mut errors)?.join("\n\n");
         let experience = self.recall(observation, chat, &mut errors)?;
         let Some(reasons) = self.think(observation, &facts, chat)? else {
             return Ok(Reply::none());
         };
+        let reasons = self.passed_on(reasons, &mut errors);
         let plan = Asked {
             round: RoundName::Waypoints,
             prompt: self.prompts.render(
@@ -269,7 +300,7 @@ impl LanguageAgent for AgentDriver {
         };
         let mut reply = read_waypoints(&answer, observation.motion, chat);
         reply.errors.splice(0..0, errors);
-        // Only noted here. `adopt` moves the waypoints, so that the record keeps what the model
+        // Only noted here. `plan` moves the waypoints, so that the record keeps what the model
         // wrote.
         if let (Some(waypoints), None) = (&reply.answer, reply.unreadable) {
             let after = checked(waypoints, &observation.facts);
@@ -283,14 +314,19 @@ impl LanguageAgent for AgentDriver {
         Ok(reply)
     }
 
-    fn adopt(
-        &mut self,
+    fn plan(
+        &self,
         waypoints: WaypointList,
         observation: &Observation<'_>,
         seen: GraphedScene<'_>,
-    ) -> Result<Trajectory, PlannerError> {
+    ) -> Result<(Trajectory, Trajectory), PlannerError> {
         let after = checked(&waypoints, &observation.facts);
-        self.track.adopt(&after.waypoints, seen)
+        let trajectory = WaypointTrack::through(&after.waypoints, seen)?;
+        Ok((trajectory.clone(), trajectory))
+    }
+
+    fn adopt(&mut self, trajectory: Trajectory) {
+        self.track.adopt(trajectory);
     }
 
     fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
@@ -303,6 +339,23 @@ impl LanguageAgent for AgentDriver {
 }
 
 impl AgentDriver {
+    /// The reasons as they are passed on to the plan. A server may write more than it is asked for.
+    fn passed_on(&self, mut reasons: String, errors: &mut Vec<ParseError>) -> String {
+        let limit = self.settings.max_tokens.saturating_mul(MAX_TOKEN_BYTES);
+        let message = if reasons.trim().is_empty() {
+            "reasoning: the answer is empty; the plan is asked for without reasons".to_owned()
+        } else if reasons.len() > limit {
+            let bytes = reasons.len();
+            format!("reasoning: of {bytes} bytes the first {limit} are passed on")
+        } else {
+            return reasons;
+        };
+        let hint = "write two lines: reasons and a plan".to_owned();
+        errors.push(in_whole(&reasons, message, hint));
+        reasons.truncate(reasons.floor_char_boundary(limit));
+        reasons
+    }
+
     /// Reasons about what matters, and what to do.
     fn think(
         &self,

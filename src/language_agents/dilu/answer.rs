@@ -1,14 +1,14 @@
 //! The answer of DiLu: reasoning, then a delimiter and the number of an action.
 
-use crate::agent::Reply;
+use crate::agent::{Reply, beginning};
 use crate::chat::Chat;
+use crate::memory::DELIMITER;
 use crate::waypoints::{any_of, text};
 use planagent_agent::planner::Unreadable;
 use planagent_agent::reasoning::{DrivingAction, ParseError};
 use planagent_mllm::Constraint;
+use std::ops::Range;
 
-/// Stands before the number.
-pub(super) const DELIMITER: &str = "####";
 /// The reasoning: some sentences without the delimiter.
 const REASONING: &str = "[A-Za-z][^#]{2,600}";
 
@@ -36,42 +36,68 @@ pub(super) fn read_action(
     offered: &[DrivingAction],
     chat: &Chat<'_>,
 ) -> Reply<DrivingAction> {
-    let error = |from: usize, message: String| {
-        let numbers: Vec<String> = offered
-            .iter()
-            .map(|action| action.id().to_string())
-            .collect();
-        ParseError {
-            span: from..answer.len(),
-            message,
-            hint: format!(
-                "end with {DELIMITER} and one of the numbers {}",
-                numbers.join(", ")
-            ),
-        }
-    };
     // The last delimiter, because a model often repeats the instructions before it answers.
-    let Some((before, number)) = answer.rsplit_once(DELIMITER) else {
-        let error = error(answer.len(), format!("no {DELIMITER} with an action"));
-        return Reply::wrong(error, chat.without_line());
-    };
-    let from = before.len() + DELIMITER.len();
-    let number = number.trim();
-    let action = number.parse().ok().and_then(DrivingAction::from_id);
-    match action {
-        Some(action) if offered.contains(&action) => Reply::plan(action),
-        Some(action) => Reply {
-            answer: Some(action),
-            errors: vec![error(
-                from,
-                format!("action {number} ({action}) is not offered here"),
-            )],
-            unreadable: Some(Unreadable::WrongLine),
-        },
+    match answer.rsplit_once(DELIMITER) {
+        Some((_, number)) => read_number(answer, number, offered, chat),
         None => {
-            let shown: String = number.chars().take(20).collect();
-            let error = error(from, format!("'{shown}' is no number of an action"));
-            Reply::wrong(error, chat.with_wrong_line())
+            let message = format!("no {DELIMITER} with an action");
+            let error = error(answer.len()..answer.len(), message, offered);
+            Reply::wrong(error, chat.without_line())
         }
+    }
+}
+
+/// The action of an answer that is to be a number alone.
+pub(super) fn read_extraction(
+    answer: &str,
+    offered: &[DrivingAction],
+    chat: &Chat<'_>,
+) -> Reply<DrivingAction> {
+    if answer.contains(DELIMITER) {
+        read_action(answer, offered, chat)
+    } else {
+        read_number(answer, answer, offered, chat)
+    }
+}
+
+/// The action whose number is the end of an answer.
+fn read_number(
+    answer: &str,
+    number: &str,
+    offered: &[DrivingAction],
+    chat: &Chat<'_>,
+) -> Reply<DrivingAction> {
+    let from = answer.len() - number.len();
+    let number = number.trim();
+    let wrong = |message| error(from..answer.len(), message, offered);
+    match number.parse().ok().and_then(DrivingAction::from_id) {
+        Some(action) if offered.contains(&action) => Reply::plan(action),
+        Some(action) => {
+            let message = format!(
+                "action {} ({action}) is not offered here",
+                beginning(number)
+            );
+            Reply {
+                answer: Some(action),
+                errors: vec![wrong(message)],
+                unreadable: Some(Unreadable::WrongLine),
+            }
+        }
+        None => {
+            let message = format!("'{}' is no number of an action", beginning(number));
+            Reply::wrong(wrong(message), chat.with_wrong_line())
+        }
+    }
+}
+
+fn error(span: Range<usize>, message: String, offered: &[DrivingAction]) -> ParseError {
+    let numbers = offered.iter().map(|action| action.id().to_string());
+    ParseError {
+        span,
+        message,
+        hint: format!(
+            "end with {DELIMITER} and one of the numbers {}",
+            numbers.collect::<Vec<_>>().join(", ")
+        ),
     }
 }

@@ -1,13 +1,14 @@
 //! What a drive leaves in the memory: decisions of a drive without an accident, and after an
 //! accident the corrected decision that led to it.
 
-use super::answer::{DELIMITER, grammar, read_action};
+use super::answer::{grammar, read_action};
 use super::prompts;
 use crate::chat::{Asked, Chat};
-use crate::memory::DiluItem;
+use crate::memory::{DELIMITER, DiluItem, ends_with};
 use minijinja::context;
 use planagent_agent::planner::{AskedModel, PlannerError, PlanningCall};
 use planagent_agent::reasoning::{DrivingAction, PlannerAnswer, ReasoningError, RoundName};
+use planagent_files::shortened;
 use planagent_mllm::Deadline;
 
 /// Of a drive without an accident, every fifth decision is remembered, from the first on.
@@ -43,7 +44,8 @@ impl Drive {
             let Some(PlannerAnswer::Action(action)) = attempt.answer else {
                 return None;
             };
-            let answer = attempt.rounds.first()?.answer.clone();
+            let first = &attempt.rounds.first()?.answer;
+            let answer = with_action(first, action);
             let description = call.scene_text.clone()?;
             Some(DriveCall {
                 iteration: call.iteration,
@@ -67,6 +69,16 @@ impl Drive {
             .filter(|call| call.iteration < before)
             .find(|call| call.action != DrivingAction::Slower)
     }
+}
+
+/// An answer that ends with its action, also where the model named it only when asked again. Of a
+/// long one a part is left out.
+fn with_action(answer: &str, action: DrivingAction) -> String {
+    let answer = shortened(answer);
+    if ends_with(&answer, action) {
+        return answer.into_owned();
+    }
+    format!("{}\n{DELIMITER} {}", answer.trim_end(), action.id())
 }
 
 /// What a drive in a scenario of this name leaves. After an accident the model is asked for the
@@ -133,11 +145,15 @@ pub fn lesson_items(
         .rsplit_once(DELIMITER)
         .map_or(text.as_str(), |(lesson, _)| lesson)
         .trim();
+    if lesson.is_empty() {
+        return Ok(Err("the lesson has an action and no words".to_owned()));
+    }
     // The lesson takes the form of an answer, because remembered decisions are shown as answers.
     Ok(Ok(vec![DiluItem {
         description: mistake.description.clone(),
         answer: format!(
-            "I made a mistake like this before. {lesson}\n{DELIMITER} {}",
+            "I made a mistake like this before. {}\n{DELIMITER} {}",
+            shortened(lesson),
             action.id()
         ),
         action,

@@ -12,10 +12,10 @@ mod recall;
 
 pub use lesson::{Drive, lesson_items};
 
-use crate::agent::{LanguageAgent, Reply};
+use crate::agent::{ChatAgent, Parts, Reply, in_answer};
 use crate::chat::{Asked, Chat};
-use crate::memory::{DiluItem, Memory};
-use answer::{extraction, grammar, read_action};
+use crate::memory::{DiluItem, Memory, open};
+use answer::{extraction, grammar, read_action, read_extraction};
 pub(crate) use control::SetPoints;
 use describe::description;
 use minijinja::context;
@@ -28,8 +28,9 @@ use planagent_world::Trajectory;
 use recall::Recall;
 use std::sync::Arc;
 
-/// Name of the planner, and of the folder of its prompts.
-pub(crate) const NAME: &str = "dilu";
+/// Name of the planner.
+const NAME: &str = "dilu";
+/// The folder of its prompts.
 const PROMPTS: &str = "dilu";
 const TEXTS: [(&str, &str); 5] = [
     (
@@ -56,8 +57,25 @@ const TEXTS: [(&str, &str); 5] = [
 /// Maximum tokens of the action alone.
 const ACTION_TOKENS: usize = 16;
 
+/// What it is made of.
+pub(crate) const PARTS: Parts<Dilu> = Parts {
+    name: NAME,
+    prompts,
+    memory: |settings| settings.dilu.memory.as_deref(),
+    make: |settings, prompts| {
+        let settings = settings.dilu.clone();
+        let memory: Memory<DiluItem> = open(settings.memory.as_deref(), NAME)?;
+        Ok(Dilu {
+            settings,
+            prompts,
+            recall: Arc::new(Recall::new(memory.items)),
+            set_points: None,
+        })
+    },
+};
+
 /// The prompts of this agent.
-pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+fn prompts() -> Result<QuestionPrompts, PromptError> {
     QuestionPrompts::open(PROMPTS, &TEXTS)
 }
 
@@ -75,20 +93,6 @@ pub(crate) struct Dilu {
 }
 
 impl Dilu {
-    pub(crate) fn new(
-        settings: DiluSettings,
-        prompts: Arc<QuestionPrompts>,
-        memory: &Memory<DiluItem>,
-    ) -> Self {
-        let recall = Arc::new(Recall::new(memory.items.clone()));
-        Self {
-            settings,
-            prompts,
-            recall,
-            set_points: None,
-        }
-    }
-
     /// The set-points in a scene, before an action.
     pub(crate) fn set_points_in(&self, seen: GraphedScene<'_>) -> SetPoints {
         match self.set_points {
@@ -125,9 +129,10 @@ impl Observation {
     }
 }
 
-impl LanguageAgent for Dilu {
+impl ChatAgent for Dilu {
     type Observation<'a> = Observation;
     type Answer = DrivingAction;
+    type Plan = SetPoints;
 
     fn interval_s(&self) -> f64 {
         self.settings.interval_s
@@ -195,19 +200,26 @@ impl LanguageAgent for Dilu {
         let Some(text) = chat.ask(asked)? else {
             return Ok(reply);
         };
-        let mut again = read_action(&format!("####{text}"), &observation.offered, chat);
-        again.errors.splice(0..0, reply.errors);
+        let mut again = read_extraction(&text, &observation.offered, chat);
+        let first = |error| in_answer("first answer", error);
+        again
+            .errors
+            .splice(0..0, reply.errors.into_iter().map(first));
         Ok(again)
     }
 
-    fn adopt(
-        &mut self,
+    fn plan(
+        &self,
         action: DrivingAction,
         observation: &Observation,
         GraphedScene { scene, .. }: GraphedScene<'_>,
-    ) -> Result<Trajectory, PlannerError> {
+    ) -> Result<(SetPoints, Trajectory), PlannerError> {
         let set = observation.before.moved(action, scene);
-        Ok(self.set_points.insert(set).trajectory(scene)?)
+        Ok((set, set.trajectory(scene)?))
+    }
+
+    fn adopt(&mut self, set: SetPoints) {
+        self.set_points = Some(set);
     }
 
     fn go_on(&mut self, _: GraphedScene<'_>) -> Result<(), PlannerError> {

@@ -5,7 +5,7 @@
 
 mod grammar;
 
-use crate::agent::{LanguageAgent, Reply};
+use crate::agent::{ChatAgent, Parts, Reply};
 use crate::chat::{Asked, Chat};
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
@@ -20,8 +20,7 @@ use planagent_agent::reasoning::{
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
-/// Name of the planner, and of the folder of its prompts.
-pub(crate) const NAME: &str = "gpt-driver";
+/// The folder of its prompts.
 const PROMPTS: &str = "gpt_driver";
 const TEXTS: [(&str, &str); 2] = [
     (
@@ -36,8 +35,22 @@ const TEXTS: [(&str, &str); 2] = [
 /// Objects of a scene that a chain of reasons may name, the nearest.
 const NAMED_OBJECTS: usize = 12;
 
+/// What it is made of.
+pub(crate) const PARTS: Parts<GptDriver> = Parts {
+    name: "gpt-driver",
+    prompts,
+    memory: |_| None,
+    make: |settings, prompts| {
+        Ok(GptDriver {
+            settings: settings.gpt_driver.clone(),
+            prompts,
+            track: WaypointTrack::default(),
+        })
+    },
+};
+
 /// The prompts of this agent.
-pub(crate) fn prompts() -> Result<QuestionPrompts, PromptError> {
+fn prompts() -> Result<QuestionPrompts, PromptError> {
     QuestionPrompts::open(PROMPTS, &TEXTS)
 }
 
@@ -48,16 +61,6 @@ pub(crate) struct GptDriver {
     track: WaypointTrack,
 }
 
-impl GptDriver {
-    pub(crate) fn new(settings: GptDriverSettings, prompts: Arc<QuestionPrompts>) -> Self {
-        Self {
-            settings,
-            prompts,
-            track: WaypointTrack::default(),
-        }
-    }
-}
-
 /// What it sees.
 pub(crate) struct Observation {
     text: GptDriverText,
@@ -66,9 +69,10 @@ pub(crate) struct Observation {
     objects: Vec<String>,
 }
 
-impl LanguageAgent for GptDriver {
+impl ChatAgent for GptDriver {
     type Observation<'a> = Observation;
     type Answer = WaypointList;
+    type Plan = Trajectory;
 
     fn interval_s(&self) -> f64 {
         self.settings.interval_s
@@ -120,13 +124,18 @@ impl LanguageAgent for GptDriver {
         })
     }
 
-    fn adopt(
-        &mut self,
+    fn plan(
+        &self,
         waypoints: WaypointList,
         _: &Observation,
         seen: GraphedScene<'_>,
-    ) -> Result<Trajectory, PlannerError> {
-        self.track.adopt(&waypoints, seen)
+    ) -> Result<(Trajectory, Trajectory), PlannerError> {
+        let trajectory = WaypointTrack::through(&waypoints, seen)?;
+        Ok((trajectory.clone(), trajectory))
+    }
+
+    fn adopt(&mut self, trajectory: Trajectory) {
+        self.track.adopt(trajectory);
     }
 
     fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {

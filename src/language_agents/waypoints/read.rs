@@ -1,7 +1,7 @@
 //! Reads a list of waypoints from an answer, and refuses one that no vehicle can follow.
 
 use super::SPACING_S;
-use crate::agent::Reply;
+use crate::agent::{Reply, beginning};
 use crate::chat::Chat;
 use planagent_agent::planner::Unreadable;
 use planagent_agent::reasoning::{LISTED_WAYPOINTS, ParseError, SeenPlace, WaypointList};
@@ -12,8 +12,10 @@ use std::ops::Range;
 /// From one half second to the next, the motion changes by at most this, m/s: 15 m/s², more than
 /// tires give on a road.
 const MAX_CHANGE: f64 = 7.5;
-/// The words before the list; the last ones count.
+/// The word before the list. Of several the last one counts that a list stands right behind.
 const LABEL: &str = "trajectory";
+/// Places farther than this are no plan of three seconds, meters.
+const FARTHEST: f64 = 1_000.0;
 
 /// The ego's motion at the time of a call, m/s: to the right, ahead.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +39,7 @@ impl Motion {
 }
 
 /// Reads the list behind the last label, else the first list, and checks it against the ego's
-/// motion. Text behind the list is left alone.
+/// motion. Words behind the list are left alone; a second list there is an error.
 pub(crate) fn read_waypoints(answer: &str, motion: Motion, chat: &Chat<'_>) -> Reply<WaypointList> {
     match read(answer) {
         Ok(waypoints) => match jump(&waypoints, motion) {
@@ -86,12 +88,26 @@ enum Fault {
     In(Range<usize>, String),
 }
 
-/// From the bracket of the list to the end of the answer.
+/// From the bracket of the list to the end of the answer. A label right before a list goes before
+/// one that is only a word of a sentence.
 fn list_in(answer: &str) -> Range<usize> {
     let lower = answer.to_ascii_lowercase();
-    let from = lower.rfind(LABEL).map_or(0, |at| at + LABEL.len());
-    let open = lower.get(from..).and_then(|rest| rest.find('['));
-    open.map_or(answer.len()..answer.len(), |at| from + at..answer.len())
+    let (mut lists, mut at) = (Vec::new(), 0);
+    for (labels, piece) in lower.split(LABEL).enumerate() {
+        if let (1.., Some((between, _))) = (labels, piece.split_once('[')) {
+            let is_right_behind = !between.contains(char::is_alphanumeric);
+            lists.push((at + between.len(), is_right_behind));
+        }
+        at += piece.len() + LABEL.len();
+    }
+    let right_behind = lists
+        .iter()
+        .rev()
+        .find(|(_, is_right_behind)| *is_right_behind);
+    let open = right_behind
+        .or(lists.last())
+        .map_or_else(|| lower.find('['), |(at, _)| Some(*at));
+    open.map_or(answer.len()..answer.len(), |at| at..answer.len())
 }
 
 fn read(answer: &str) -> Result<WaypointList, Fault> {
@@ -104,7 +120,7 @@ fn read(answer: &str) -> Result<WaypointList, Fault> {
     let (mut places, mut rest) = (Vec::new(), inside);
     let at = |rest: &str| answer.len() - rest.len();
     loop {
-        rest = rest.trim_start_matches([' ', ',', '\n', '\t']);
+        rest = rest.trim_start_matches(|c: char| c == ',' || c.is_whitespace());
         match rest.chars().next() {
             Some(']') => break,
             Some('(' | '[') => {
@@ -128,6 +144,18 @@ fn read(answer: &str) -> Result<WaypointList, Fault> {
             }
         }
     }
+    // Two lists are two plans, and nothing tells which one is meant.
+    let behind = rest
+        .strip_prefix(']')
+        .expect("the loop above ends at the bracket");
+    let second = behind.match_indices('[').find(|(place, _)| {
+        let inside = behind[place + 1..].trim_start();
+        inside.starts_with(['(', '['])
+    });
+    if let Some((place, _)) = second {
+        let message = "a second list of waypoints stands behind the first".to_owned();
+        return Err(Fault::In(at(rest) + 1 + place..answer.len(), message));
+    }
     let found = places.len();
     let whole: [SeenPlace; LISTED_WAYPOINTS] = places.try_into().map_err(|_| {
         let message = format!("the list has {found} waypoints instead of {LISTED_WAYPOINTS}");
@@ -141,14 +169,17 @@ fn place(text: &str) -> Result<SeenPlace, String> {
     let number = |text: &str| {
         let text = text.trim();
         match text.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            Ok(_) => Err(format!("{text} is not finite")),
-            Err(_) => Err(format!("'{text}' is no number")),
+            Ok(value) if value.abs() <= FARTHEST => Ok(value),
+            Ok(value) if value.is_finite() => {
+                Err(format!("{} is farther than {FARTHEST} m", beginning(text)))
+            }
+            Ok(_) => Err(format!("{} is not finite", beginning(text))),
+            Err(_) => Err(format!("'{}' is no number", beginning(text))),
         }
     };
     let (right, ahead) = text
         .split_once(',')
-        .ok_or_else(|| format!("'{text}' is no pair"))?;
+        .ok_or_else(|| format!("'{}' is no pair", beginning(text)))?;
     Ok(SeenPlace {
         right: number(right)?,
         ahead: number(ahead)?,
@@ -197,7 +228,14 @@ mod tests {
                 "\nI hope that helps [sic].",
             ),
             STEADY.replace('(', "[").replace(')', "]"),
-            STEADY.replace(", ", "\n"),
+            STEADY.replace(", ", "\r\n"),
+            text("Trajectory: ", "\nThis trajectory keeps to the lane [sic]."),
+            text("Trajectory: ", "\nThe trajectory is safe."),
+            text(
+                "Trajectory: [(0,1), (0,2)]\nNo, better is\nTrajectory: ",
+                "",
+            ),
+            text("The trajectory in meters is ", ""),
         ] {
             let list = read(&answer).unwrap();
             assert_eq!(list.to_string(), STEADY, "{answer}");
@@ -233,11 +271,40 @@ mod tests {
             (STEADY.replace(']', ""), "not closed"),
             (STEADY.replace(")]", ""), "not closed"),
             ("[here, there]".to_owned(), "waypoint 1 is no pair"),
+            (
+                STEADY.replace("16.00", "1e300"),
+                "waypoint 4: 1e300 is farther than 1000 m",
+            ),
+            (STEADY.replace("16.00", "\u{ff11}6.00"), "is no number"),
+            (STEADY.replace("16.00", "\u{2212}16.00"), "is no number"),
+            (
+                STEADY.replace("16.00", "16.00,0.00"),
+                "'16.00,0.00' is no number",
+            ),
+            (
+                STEADY.replace("[(", "[[("),
+                "waypoint 1: '(0.00' is no number",
+            ),
+            (
+                STEADY.replace("[(", "[(("),
+                "waypoint 1: '(0.00' is no number",
+            ),
+            (
+                STEADY.replace("16.00", &"9".repeat(100_000)),
+                "waypoint 4: 9999999999999999999999999999999999999999 is not finite",
+            ),
+            (format!("{STEADY} or {STEADY}"), "a second list"),
+            (format!("Trajectory: {STEADY}{STEADY}"), "a second list"),
+            (format!("{STEADY}\n[["), "a second list"),
         ] {
             let message = match read(&answer).unwrap_err() {
                 Fault::NoList => "no list".to_owned(),
                 Fault::In(span, message) => {
-                    assert!(span.end <= answer.len(), "{answer}");
+                    assert!(
+                        span.start <= span.end && span.end <= answer.len(),
+                        "{answer}"
+                    );
+                    assert!(message.len() < 200, "{message}");
                     message
                 }
             };

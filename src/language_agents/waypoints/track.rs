@@ -14,9 +14,8 @@ pub(crate) struct WaypointTrack {
 }
 
 impl WaypointTrack {
-    /// The plan from now on.
-    pub(crate) fn adopt(
-        &mut self,
+    /// The trajectory from now on.
+    pub(crate) fn through(
         waypoints: &WaypointList,
         GraphedScene { scene, graph }: GraphedScene<'_>,
     ) -> Result<Trajectory, PlannerError> {
@@ -24,9 +23,18 @@ impl WaypointTrack {
             .0
             .map(|place| Vector::new(place.ahead, -place.right));
         let lanes = lanes(graph);
-        let trajectory =
-            through_waypoints(scene.ego, &places, SPACING_STEPS, Onward::Along(&lanes))?;
-        Ok(self.active.insert(trajectory).clone())
+        let onward = Onward::Along(&lanes);
+        Ok(through_waypoints(
+            scene.ego,
+            &places,
+            SPACING_STEPS,
+            onward,
+        )?)
+    }
+
+    /// Makes a trajectory the plan.
+    pub(crate) fn adopt(&mut self, trajectory: Trajectory) {
+        self.active = Some(trajectory);
     }
 
     /// Makes the plan reach as far as a new one.

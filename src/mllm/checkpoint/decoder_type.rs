@@ -26,6 +26,9 @@ pub(crate) enum DecoderType {
     /// `Gemma3TextConfig`: most layers have a window, and all more norms.
     #[serde(rename = "gemma3_text")]
     Gemma3,
+    /// `Gemma3nTextConfig`: layers work on one of several streams of hidden states.
+    #[serde(rename = "gemma3n_text")]
+    Gemma3n,
     /// `Gemma4TextConfig`: layers also differ in shape, and the last ones share keys and values.
     #[serde(rename = "gemma4_text")]
     Gemma4,
@@ -45,6 +48,7 @@ impl DecoderType {
             "Qwen2ForCausalLM" => Some(Self::Qwen2),
             "Qwen3ForCausalLM" => Some(Self::Qwen3),
             "Gemma3ForCausalLM" => Some(Self::Gemma3),
+            "Gemma3nForCausalLM" => Some(Self::Gemma3n),
             "Gemma4ForCausalLM" => Some(Self::Gemma4),
             "Lfm2ForCausalLM" => Some(Self::Lfm2),
             "Qwen3_5ForCausalLM" => Some(Self::Qwen35),
@@ -83,6 +87,11 @@ impl DecoderType {
                 "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
                 "sliding_window": 4096, "tie_word_embeddings": true, "query_pre_attn_scalar": 256,
             }),
+            Self::Gemma3n => json!({
+                "vocab_size": 262_400, "hidden_size": 2048, "intermediate_size": 16_384, "num_hidden_layers": 35,
+                "num_attention_heads": 8, "num_key_value_heads": 2, "head_dim": 256, "max_position_embeddings": 32_768,
+                "sliding_window": 512, "tie_word_embeddings": true, "final_logit_softcapping": 30.0,
+            }),
             Self::Gemma4 => json!({
                 "vocab_size": 262_144, "hidden_size": 2304, "intermediate_size": 9216, "num_hidden_layers": 30,
                 "num_attention_heads": 8, "num_key_value_heads": 4, "head_dim": 256, "max_position_embeddings": 131_072,
@@ -103,7 +112,9 @@ impl DecoderType {
     pub(super) fn theta(self) -> f64 {
         match self {
             Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 | Self::Qwen35 => 10_000.0,
-            Self::Qwen25Vl | Self::Gemma3 | Self::Gemma4 | Self::Lfm2 => 1_000_000.0,
+            Self::Qwen25Vl | Self::Gemma3 | Self::Gemma3n | Self::Gemma4 | Self::Lfm2 => {
+                1_000_000.0
+            }
             Self::Qwen3Vl => 500_000.0,
         }
     }
@@ -117,6 +128,7 @@ impl DecoderType {
             | Self::Qwen2
             | Self::Qwen3
             | Self::Gemma3
+            | Self::Gemma3n
             | Self::Gemma4
             | Self::Lfm2 => None,
             Self::Qwen25Vl => Some([16, 24, 24]),
@@ -163,8 +175,14 @@ impl DecoderType {
             WHOLE,
             ("enable_moe_block", Neutral::Flag(false)),
         ];
+        const GEMMA3N: &[(&str, Neutral)] = &[
+            ("hidden_activation", Neutral::Text(&["gelu_pytorch_tanh"])),
+            WHOLE,
+        ];
         if self == Self::Gemma3 {
             GEMMA
+        } else if self == Self::Gemma3n {
+            GEMMA3N
         } else if self == Self::Gemma4 {
             GEMMA4
         } else if self == Self::Lfm2 {

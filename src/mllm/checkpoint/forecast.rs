@@ -1,8 +1,8 @@
 //! What weights will be in memory, before any is taken.
 
 use super::load_report::LoadReport;
-use super::weight_format_plan::{WeightFormatPlan, is_matrix};
-use super::weights::{Weights, f32_bytes};
+use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
+use super::weights::{StoredTensor, Weights, f32_bytes};
 use planagent_kernels::matrix::WeightFormat;
 
 impl Weights {
@@ -37,6 +37,38 @@ impl Weights {
                 }
                 _ => None,
             })
+    }
+
+    /// The most memory that taking one of the tensors needs beside what it becomes, bytes, with
+    /// another wanted format.
+    pub(crate) fn largest_reading(&self, quantize: Option<WeightFormat>) -> u64 {
+        let plan = WeightFormatPlan {
+            quantize,
+            ..self.plan
+        };
+        let needs = self.tensors.iter();
+        let needs = needs.map(|(name, stored)| self.reading(plan, name, stored));
+        needs.max().unwrap_or(0)
+    }
+
+    /// What taking a tensor needs beside what it becomes: the tensor as in its file and, where it
+    /// gets another format, its numbers in f32 and the blocks that they are rounded to.
+    fn reading(&self, plan: WeightFormatPlan, name: &str, stored: &StoredTensor) -> u64 {
+        let shape = &stored.place.shape;
+        let numbers = f32_bytes(shape);
+        let (bytes, &[outputs, inputs]) = (stored.place.bytes, shape.as_slice()) else {
+            return stored.place.bytes.saturating_add(numbers);
+        };
+        if stored.merged.is_some() || self.packed(stored).is_some() || !is_matrix(name, shape) {
+            return numbers.saturating_mul(2);
+        }
+        let wanted = self.planned(plan, name, stored, inputs).weight_format;
+        if held_as(stored.place.format) == Some(wanted) {
+            return bytes;
+        }
+        let blocks = wanted.matrix_bytes(outputs, inputs);
+        let blocks = blocks.map_or(u64::MAX, |blocks| blocks as u64);
+        bytes.saturating_add(numbers).saturating_add(blocks)
     }
 
     /// The report of taking all tensors that are left, with another wanted format.

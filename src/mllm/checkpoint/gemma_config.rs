@@ -1,4 +1,4 @@
-//! What a Gemma 3 or 4 decoder has beyond Llama's.
+//! What a Gemma 3, 3n or 4 decoder has beyond Llama's.
 
 use super::config::ConfigObject;
 use super::layer_shape::VariedShapes;
@@ -6,8 +6,9 @@ use super::llama_config::LlamaConfig;
 use super::rope_config::read_local_rope;
 use crate::MllmError;
 use planagent_kernels::attention::Rope;
+use serde_json::json;
 
-/// What a Gemma 3 or 4 decoder has beyond Llama's: layers that see a window, with a rotary embedding
+/// What a Gemma 3, 3n or 4 decoder has beyond Llama's: layers that see a window, with a rotary embedding
 /// of their own, a norm behind each part of a layer, and scaled embeddings and queries. The norms of
 /// Gemma 3 multiply by 1 + weight.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +38,8 @@ pub(crate) enum ImageMask {
 
 /// Layers from a global one to the next, where nothing says it.
 const PATTERN: usize = 6;
+/// The same in Gemma 3n.
+const PATTERN_OF_3N: usize = 5;
 
 impl GemmaConfig {
     /// Reads the keys that Llama does not have; the number of layers and the window are those of
@@ -116,6 +119,27 @@ impl GemmaConfig {
         gemma.query_scalar = 1.0;
         gemma.shapes = Some(VariedShapes::read(&text, config, &gemma.local)?);
         Ok(gemma)
+    }
+
+    /// Reads the keys of a Gemma 3n, whose last layers share keys, and whose queries are not scaled.
+    pub(super) fn read_sharing(
+        text: &ConfigObject<'_>,
+        config: &LlamaConfig,
+    ) -> Result<Self, MllmError> {
+        const EVERY: &str = "sliding_window_pattern";
+        let mut text = text.clone();
+        // No keys of this class, whose own pattern is another one.
+        for key in [EVERY, "query_pre_attn_scalar"] {
+            text.remove(key);
+        }
+        let text = text.with_defaults(json!({EVERY: PATTERN_OF_3N}));
+        let gemma = Self::read(&text, config)?;
+        Ok(Self {
+            image_mask: ImageMask::None,
+            query_scalar: 1.0,
+            shapes: Some(VariedShapes::read_sharing(&text, config, &gemma.local)?),
+            ..gemma
+        })
     }
 
     /// Whether the tokens of an image see one another in a layer.

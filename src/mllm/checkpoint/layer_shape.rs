@@ -1,6 +1,6 @@
 //! Layers of a decoder that differ in shape.
 
-use super::config::{ConfigObject, check_ranges, check_width};
+use super::config::{ConfigObject, MAX_COUNT, MAX_WIDTH, check_ranges, check_width};
 use super::llama_config::{LlamaConfig, MAX_HEAD, MAX_LAYERS};
 use crate::MllmError;
 use serde_json::{Map, Value};
@@ -93,6 +93,25 @@ impl VariedShapes {
         })
     }
 
+    /// Reads the keys of a decoder whose layers are alike but for the last, which use the keys and
+    /// values of earlier ones (`Gemma3nTextConfig`).
+    pub(super) fn read_sharing(
+        text: &ConfigObject<'_>,
+        config: &LlamaConfig,
+        local: &[bool],
+    ) -> Result<Self, MllmError> {
+        /// What the class takes where a file does not say it.
+        const DEFAULT_SHARED: usize = 15;
+        let sharing = text.value(SHARED)?.unwrap_or(DEFAULT_SHARED);
+        Ok(Self {
+            global: [config.kv_heads, config.head_dim],
+            keys_as_values: false,
+            sharing,
+            wide: false,
+            shared: shared(text, sharing, local)?,
+        })
+    }
+
     /// The shape of a layer, by its number from 0.
     pub(super) fn layer(&self, config: &LlamaConfig, layer: usize, is_local: bool) -> LayerShape {
         let shares = layer + self.sharing >= config.layers;
@@ -104,7 +123,7 @@ impl VariedShapes {
         LayerShape {
             kv_heads,
             head_dim,
-            intermediate: config.intermediate * if shares && self.wide { 2 } else { 1 },
+            intermediate: config.width(layer) * if shares && self.wide { 2 } else { 1 },
             keys: if shares {
                 LayerKeys::Of(self.shared[usize::from(!is_local)])
             } else if self.keys_as_values && !is_local {
@@ -194,11 +213,38 @@ pub(crate) struct LayerInputConfig {
     pub width: usize,
     /// Rows of the table.
     pub vocabulary: usize,
-    /// The token whose row stands for that of an image's tokens.
+    /// The token whose row stands for that of an image's tokens, and of tokens behind the table.
     pub pad: u32,
 }
 
 impl LayerInputConfig {
+    /// The row of a token; none stands for a row of an image.
+    pub(crate) fn row(&self, token: Option<u32>) -> u32 {
+        let in_table = |token: &u32| (*token as usize) < self.vocabulary;
+        token.filter(in_table).unwrap_or(self.pad)
+    }
+
+    /// Reads the keys of a decoder that cannot do without such numbers, whose table may have fewer
+    /// rows than there are tokens (`Gemma3nTextConfig`).
+    pub(super) fn read_shorter(
+        text: &ConfigObject<'_>,
+        config: &LlamaConfig,
+    ) -> Result<Self, MllmError> {
+        const WIDTH: &str = "hidden_size_per_layer_input";
+        const ROWS: &str = "vocab_size_per_layer_input";
+        let width = text.value(WIDTH)?.unwrap_or(256);
+        check_ranges(text, &[(WIDTH, width, MAX_WIDTH)])?;
+        check_width(text, WIDTH, width, config.layers)?;
+        let vocabulary = text.value(ROWS)?.unwrap_or(262_144);
+        check_ranges(text, &[(ROWS, vocabulary, MAX_COUNT as usize)])?;
+        // transformers takes the first row, whatever the padding is.
+        Ok(Self {
+            width,
+            vocabulary,
+            pad: 0,
+        })
+    }
+
     /// Reads the keys; none for a decoder without such numbers.
     pub(super) fn read(
         text: &ConfigObject<'_>,
@@ -218,10 +264,7 @@ impl LayerInputConfig {
             let problem = format!("{vocabulary} rows for {} tokens", config.vocabulary);
             return Err(text.error(ROWS, problem));
         }
-        check_ranges(
-            text,
-            &[(ROWS, vocabulary, super::config::MAX_COUNT as usize)],
-        )?;
+        check_ranges(text, &[(ROWS, vocabulary, MAX_COUNT as usize)])?;
         let pad: u32 = text.value(PAD)?.unwrap_or(0);
         if pad as usize >= config.vocabulary {
             let problem = format!("{pad} is none of {} tokens", config.vocabulary);

@@ -9,6 +9,7 @@ use super::delta_config::DeltaConfig;
 use super::gemma_config::GemmaConfig;
 use super::layer_shape::{LayerInputConfig, LayerKeys, LayerShape};
 use super::rope_config::{ReadRope, read_rope};
+use super::stream_config::{StreamConfig, split_widths};
 use super::weights::Weights;
 use crate::MllmError;
 use planagent_kernels::Linear;
@@ -17,7 +18,7 @@ use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
-/// of queries and keys, Gemma 3 and 4 (`Gemma3TextConfig`, `Gemma4TextConfig`) what [`Self::gemma`] has, and LFM2
+/// of queries and keys, Gemma 3, 3n and 4 (`Gemma3TextConfig`, `Gemma3nTextConfig`, `Gemma4TextConfig`) what [`Self::gemma`] has, and LFM2
 /// (`Lfm2Config`) and Qwen 3.5 (`Qwen3_5TextConfig`) layers without attention.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
@@ -91,7 +92,10 @@ pub struct LlamaConfig {
     /// Numbers of a token for each layer.
     #[serde(skip)]
     pub(crate) layer_inputs: Option<LayerInputConfig>,
-    /// What Gemma 3 and 4 have beyond the others.
+    /// Several streams of hidden states, of which layers work on one.
+    #[serde(skip)]
+    pub(crate) streams: Option<StreamConfig>,
+    /// What Gemma 3, 3n and 4 have beyond the others.
     #[serde(skip)]
     pub(crate) gemma: Option<GemmaConfig>,
     /// The layers that convolve the last positions in the place of attention.
@@ -129,6 +133,7 @@ impl Default for LlamaConfig {
             tie_word_embeddings: false,
             softcap: None,
             layer_inputs: None,
+            streams: None,
             gemma: None,
             convolution: None,
             delta: None,
@@ -161,6 +166,11 @@ impl LlamaConfig {
 
     /// Reads the keys of a decoder of this kind.
     pub(crate) fn read_as(text: ConfigObject<'_>, kind: DecoderType) -> Result<Self, MllmError> {
+        let (text, widths) = if kind == DecoderType::Gemma3n {
+            split_widths(text)?
+        } else {
+            (text, None)
+        };
         let mut text = text.with_defaults(kind.defaults());
         text.only_neutral(kind.neutral())?;
         // Left out, it has the class's default; null means as many as query heads.
@@ -198,6 +208,9 @@ impl LlamaConfig {
         }
         if kind == DecoderType::Gemma3 {
             config.gemma = Some(GemmaConfig::read(&text, &config)?);
+        }
+        if kind == DecoderType::Gemma3n {
+            config.read_gemma3n(&text, widths)?;
         }
         if kind == DecoderType::Gemma4 {
             config.read_gemma4(&text)?;
@@ -239,6 +252,30 @@ impl LlamaConfig {
         self.softcap = text.positive("final_logit_softcapping")?;
         (self.value_norms, self.layer_scales) = (true, true);
         Ok(())
+    }
+
+    /// Reads the keys of `Gemma3nTextConfig` that Llama does not have; `widths` are those of the
+    /// layers' feed-forward networks where they are listed.
+    fn read_gemma3n(
+        &mut self,
+        text: &ConfigObject<'_>,
+        widths: Option<Vec<usize>>,
+    ) -> Result<(), MllmError> {
+        // Before anything is made for each layer.
+        check_ranges(text, &[("num_hidden_layers", self.layers, MAX_LAYERS)])?;
+        self.gemma = Some(GemmaConfig::read_sharing(text, self)?);
+        self.layer_inputs = Some(LayerInputConfig::read_shorter(text, self)?);
+        self.streams = Some(StreamConfig::read(text, self, widths)?);
+        self.softcap = text.positive("final_logit_softcapping")?;
+        self.value_norms = true;
+        Ok(())
+    }
+
+    /// The width of a layer's feed-forward network, by its number from 0.
+    pub(super) fn width(&self, layer: usize) -> usize {
+        let streams = self.streams.as_ref();
+        let own = streams.and_then(|streams| streams.widths.get(layer));
+        own.copied().unwrap_or(self.intermediate)
     }
 
     /// The shape of a layer with attention, by its number from 0.

@@ -5,7 +5,7 @@ use crate::MllmError;
 use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
-const DECODER: [(&str, &str); 37] = [
+const DECODER: [(&str, &str); 41] = [
     ("hidden_size", "embedding_length"),
     ("intermediate_size", "feed_forward_length"),
     ("num_hidden_layers", "block_count"),
@@ -48,6 +48,13 @@ const DECODER: [(&str, &str); 37] = [
         "embedding_length_per_layer_input",
     ),
     ("final_logit_softcapping", "final_logit_softcapping"),
+    ("altup_num_inputs", "altup.num_inputs"),
+    ("altup_active_idx", "altup.active_idx"),
+    ("activation_sparsity_pattern", "activation_sparsity_scale"),
+    (
+        "vocab_size_per_layer_input",
+        "embedding_length_per_layer_input",
+    ),
     ("global_head_dim", "attention.key_length"),
     ("num_global_key_value_heads", "attention.head_count_kv"),
     ("per_layer_config", "attention.head_count_kv"),
@@ -122,7 +129,14 @@ impl OwnKeys {
 
     /// The file that has a tensor by llama.cpp's name.
     pub(crate) fn file_of(&self, tensor: &str) -> &Path {
-        const OF_DECODER: [&str; 5] = ["token_embd", "blk.", "output", "rope_freqs", "per_layer_"];
+        const OF_DECODER: [&str; 6] = [
+            "token_embd",
+            "blk.",
+            "output",
+            "rope_freqs",
+            "per_layer_",
+            "altup_",
+        ];
         let is_of_decoder = OF_DECODER.iter().any(|begin| tensor.starts_with(begin));
         match &self.tower {
             Some(tower) if !is_of_decoder => tower,

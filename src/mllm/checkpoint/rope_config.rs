@@ -43,7 +43,8 @@ pub(super) fn read_rope(
     if kind == DecoderType::Gemma4 {
         return read_global_rope(text, context);
     }
-    let by_layer = (kind == DecoderType::Gemma3)
+    let is_gemma = matches!(kind, DecoderType::Gemma3 | DecoderType::Gemma3n);
+    let by_layer = is_gemma
         .then(|| layer_rope(text, "full_attention"))
         .transpose()?
         .flatten();
@@ -52,9 +53,7 @@ pub(super) fn read_rope(
         .filter(|section| !section.is_empty())
     {
         Some(section) => section,
-        None if kind == DecoderType::Gemma3 => {
-            by_layer.map_or_else(|| text.child_or_empty("rope_scaling"), Ok)?
-        }
+        None if is_gemma => by_layer.map_or_else(|| text.child_or_empty("rope_scaling"), Ok)?,
         None => text.child_or_empty("rope_parameters")?,
     };
     let part = rotated_part(text, &section, kind)?;

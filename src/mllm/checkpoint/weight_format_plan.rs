@@ -46,11 +46,13 @@ enum Role {
 }
 
 /// Whether a tensor of this name and shape is the matrix of a linear layer or an embedding. All
-/// others (norms, biases, positions, kernels, learned rows) are small and stay in f32.
+/// others (norms, biases, positions, kernels, learned rows, coefficients of streams) are small and
+/// stay in f32.
 pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
     shape.len() == 2
         && name.ends_with(".weight")
         && !name.contains("position_embedding")
+        && !name.contains(".altup.")
         && !is_kernel(name)
 }
 

@@ -80,7 +80,9 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "gemma3" => gemma3::read_files(&files),
         "gemma4" => gemma4::read_files(&files),
         "lfm2-vl" => lfm2_vl::read_files(&files),
-        "gemma3_text" | "gemma4_text" | "lfm2" | "qwen3_5_text" => text_only::read_files(&files),
+        "gemma3_text" | "gemma3n" | "gemma4_text" | "lfm2" | "qwen3_5_text" => {
+            text_only::read_files(&files)
+        }
         other => panic!("{other} is no family"),
     }
 }

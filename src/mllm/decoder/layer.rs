@@ -7,6 +7,7 @@ use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
+use planagent_kernels::above_cutoff;
 use planagent_kernels::attention::{Precision, RotaryRows};
 use std::ops::Range;
 
@@ -64,6 +65,8 @@ pub(crate) struct SwiGlu {
     gate_up: Linear,
     down: Linear,
     act: Activation,
+    /// Deviations above the mean of a row below which its gates are 0; none where all gates count.
+    cutoff: Option<f32>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -89,6 +92,7 @@ impl SwiGlu {
             gate_up: weights.take_fused(&[(gate, wide), (up, wide)], shape.hidden, shape.bias)?,
             down: weights.take_linear(&down, wide, shape.hidden, shape.bias)?,
             act: Activation::Silu,
+            cutoff: None,
         })
     }
 
@@ -119,10 +123,23 @@ impl SwiGlu {
         })
     }
 
+    /// Makes gates 0 that are not so many deviations above the mean of their row.
+    pub(super) fn with_cutoff(self, cutoff: Option<f32>) -> Self {
+        Self { cutoff, ..self }
+    }
+
+    /// What the second projection maps.
+    fn gated(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        let gate_up = self.gate_up.forward(x)?;
+        match self.cutoff {
+            Some(cutoff) => self.act.gated(&above_cutoff(&gate_up, cutoff)?),
+            None => self.act.gated(&gate_up),
+        }
+    }
+
     /// Maps (tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        self.down
-            .forward(&self.act.gated(&self.gate_up.forward(x)?)?)
+        self.down.forward(&self.gated(x)?)
     }
 
     /// residual + network(x), both (tokens, hidden).
@@ -131,8 +148,7 @@ impl SwiGlu {
         x: &Tensor,
         residual: &Tensor,
     ) -> candle_core::Result<Tensor> {
-        self.down
-            .forward_onto(&self.act.gated(&self.gate_up.forward(x)?)?, residual)
+        self.down.forward_onto(&self.gated(x)?, residual)
     }
 }
 

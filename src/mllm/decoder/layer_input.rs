@@ -56,10 +56,7 @@ impl LayerInputs {
         if tokens.len() != count {
             candle_core::bail!("{} tokens for {count} input rows", tokens.len());
         }
-        let ids: Vec<u32> = tokens
-            .iter()
-            .map(|token| token.unwrap_or(self.config.pad))
-            .collect();
+        let ids: Vec<u32> = tokens.iter().map(|token| self.config.row(*token)).collect();
         let of_tokens = (self.table.rows(&ids)? * (self.config.width as f64).sqrt())?;
         let of_rows = (self.projection.forward(rows)? * self.scale)?;
         let of_rows = self
@@ -113,12 +110,17 @@ impl LayerInput {
 
     /// x and what is added, (tokens, hidden).
     pub(super) fn forward_onto(&self, x: &Tensor, pass: &Pass) -> Result<Tensor> {
+        x + self.forward(x, pass)?
+    }
+
+    /// What is added to x, (tokens, hidden).
+    pub(super) fn forward(&self, x: &Tensor, pass: &Pass) -> Result<Tensor> {
         let Some(inputs) = &pass.layer_inputs else {
             candle_core::bail!("layer {} has no input of its own", self.layer);
         };
         let width = self.gate.outputs();
         let own = inputs.narrow(1, self.layer * width, width)?;
         let gated = Activation::GeluTanh.gated(&Tensor::cat(&[self.gate.forward(x)?, own], 1)?)?;
-        x + self.norm.forward(&self.projection.forward(&gated)?)?
+        self.norm.forward(&self.projection.forward(&gated)?)
     }
 }

@@ -2,8 +2,8 @@
 //! output layer.
 //!
 //! [`LlamaLayer`] is the layer of Llama, Mistral, Qwen, Gemma and LFM2. A family with another layer implements
-//! [`DecoderLayer`]. What it keeps is a [`LayerState`]: keys and values, or a state that each
-//! position changes.
+//! [`DecoderLayer`], as [`StreamLayer`] is one. What it keeps is a [`LayerState`]: keys and values,
+//! or a state that each position changes.
 
 mod attention;
 mod cache;
@@ -19,6 +19,8 @@ mod output_gate;
 mod recurrence;
 mod self_attention;
 mod short_convolution;
+mod stream_layer;
+mod streams;
 mod taps;
 
 pub(crate) use attention::CausalAttention;
@@ -28,6 +30,8 @@ pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 use layer_input::LayerInputs;
 pub(crate) use llama::LlamaLayer;
 pub use planagent_kernels::attention::Position;
+pub(crate) use stream_layer::StreamLayer;
+use streams::Streams;
 
 use super::MllmError;
 use super::checkpoint::{LlamaConfig, Weights};
@@ -50,6 +54,8 @@ pub(crate) struct Decoder<L> {
     /// Input rows of text are multiplied by it.
     embedding_scale: Option<f64>,
     layer_inputs: Option<LayerInputs>,
+    /// Hidden states of a token beside one another; none where there is one.
+    streams: Option<Streams>,
     /// Bound of logits.
     softcap: Option<f64>,
     precision: Precision,
@@ -168,6 +174,7 @@ impl<L: DecoderLayer> Decoder<L> {
             }),
             embedding_scale: config.gemma.as_ref().map(|_| (config.hidden as f64).sqrt()),
             layer_inputs: LayerInputs::take(weights, config, prefix)?,
+            streams: Streams::take(weights, config, prefix)?,
             softcap: config.softcap,
             precision,
         })
@@ -226,6 +233,10 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
             }
             Logits::All => x,
         };
+        let x = match &self.streams {
+            Some(streams) => streams.merge(&x)?,
+            None => x,
+        };
         let logits = self.head.forward(&self.norm.forward(&x)?)?;
         Ok(Some(match self.softcap {
             Some(cap) => ((logits / cap)?.tanh()? * cap)?,
@@ -256,7 +267,10 @@ impl<L: DecoderLayer> Decoder<L> {
                 .map(|inputs| inputs.forward(&input.rows, &input.tokens))
                 .transpose()?,
         };
-        let mut x = input.rows.clone();
+        let mut x = match &self.streams {
+            Some(streams) => streams.split(&input.rows)?,
+            None => input.rows.clone(),
+        };
         for (index, layer) in self.layers.iter().enumerate() {
             pass.layer = index;
             x = layer.forward(&x, &pass, cache)?;

@@ -9,6 +9,9 @@ use serde_json::json;
 /// # Errors
 /// The part that llama.cpp has no key for.
 pub(crate) fn describe(config: &LlamaConfig) -> Result<(&'static str, Entries), &'static str> {
+    if config.streams.is_some() {
+        return Err("streams of hidden states one by one");
+    }
     if config.layer_scales {
         return Err("layers of different shapes");
     }

@@ -29,7 +29,7 @@ const DEFAULT_SHARED: usize = 0;
 const CAUSAL: [u64; 2] = [1536, 2560];
 
 /// A number, or one for each layer.
-fn by_layer(header: &Header, key: &str) -> Result<Option<Vec<u64>>, MllmError> {
+pub(super) fn by_layer(header: &Header, key: &str) -> Result<Option<Vec<u64>>, MllmError> {
     header.typed(
         key,
         "a whole number, or one for each layer",

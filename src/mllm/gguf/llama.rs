@@ -2,6 +2,7 @@
 
 use super::Entries;
 use super::gemma;
+use super::gemma3n;
 use super::gemma4;
 use super::header::Header;
 use super::lfm2;
@@ -15,13 +16,14 @@ use serde_json::{Value, json};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 9] = [
+const ARCHITECTURES: [(&str, &str); 10] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
     ("qwen3vl", "qwen3_vl_text"),
     (gemma::ARCHITECTURE, "gemma3_text"),
+    (gemma3n::ARCHITECTURE, "gemma3n_text"),
     (gemma4::ARCHITECTURE, "gemma4_text"),
     (lfm2::ARCHITECTURE, "lfm2"),
     (qwen35::ARCHITECTURE, "qwen3_5_text"),
@@ -47,6 +49,7 @@ pub(crate) fn architecture_of(model_type: &str) -> Option<&'static str> {
         "qwen3_vl" => "qwen3_vl_text",
         "qwen3_5" => "qwen3_5_text",
         "gemma3" => "gemma3_text",
+        "gemma3n" => "gemma3n_text",
         "gemma4" => "gemma4_text",
         other => other,
     };
@@ -88,6 +91,10 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     let heads = header.required_count(&key("attention.head_count"))?;
     let (key_heads, intermediate) = match architecture {
         lfm2::ARCHITECTURE => (lfm2::key_heads(header)?, None),
+        gemma3n::ARCHITECTURE => (
+            header.count(&key("attention.head_count_kv"))?,
+            Some(gemma3n::widest_layer(header)?),
+        ),
         gemma4::ARCHITECTURE => {
             let [intermediate, key_heads] = gemma4::first_layer(header)?;
             (Some(key_heads), Some(intermediate))
@@ -174,6 +181,9 @@ pub(crate) fn text_config(header: &Header, notes: &mut Vec<String>) -> Result<Va
     }
     if architecture == gemma::ARCHITECTURE {
         gemma::add_keys(header, &mut config, notes)?;
+    }
+    if architecture == gemma3n::ARCHITECTURE {
+        gemma3n::add_keys(header, &mut config, notes)?;
     }
     if architecture == gemma4::ARCHITECTURE {
         gemma4::add_keys(header, &mut config, notes)?;

@@ -8,6 +8,7 @@
 pub(crate) mod byte_level;
 pub(crate) mod decoder;
 pub(crate) mod gemma;
+pub(crate) mod gemma3n;
 pub(crate) mod gemma4;
 mod header;
 pub(crate) mod lfm2;

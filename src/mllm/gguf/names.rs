@@ -90,6 +90,49 @@ pub(crate) const GEMMA4_SINGLE: [Pair; 3] = [
     ),
 ];
 
+/// The layers of a Gemma 3n: those of a Gemma 4 but for the factor, and what moves its streams.
+pub(crate) const GEMMA3N_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &GEMMA3N_PARTS);
+
+const GEMMA3N_PARTS: [Pair; 24] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("post_attention_norm", "post_attention_layernorm"),
+    ("ffn_norm", "pre_feedforward_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+    ("post_ffw_norm", "post_feedforward_layernorm"),
+    ("inp_gate", "per_layer_input_gate"),
+    ("proj", "per_layer_projection"),
+    ("post_norm", "post_per_layer_input_norm"),
+    ("altup_router", "altup.modality_router"),
+    ("altup_router_norm", "altup.router_norm"),
+    ("altup_predict_coef", "altup.prediction_coefs"),
+    ("altup_correct_coef", "altup.correction_coefs"),
+    ("altup_correct_scale", "altup.correct_output_scale"),
+    ("laurel_l", "laurel.linear_left"),
+    ("laurel_r", "laurel.linear_right"),
+    ("laurel_post_norm", "laurel.post_laurel_norm"),
+];
+
+/// The decoder's tensors of a Gemma 3n for its streams: all but the first in one tensor.
+pub(crate) const GEMMA3N_SINGLE: [Pair; 2] = [
+    (
+        "altup_proj.weight",
+        "language_model.altup_projections.weight",
+    ),
+    (
+        "altup_unembd_proj.weight",
+        "language_model.altup_unembed_projections.weight",
+    ),
+];
+
 /// The final norm of an LFM2.
 pub(crate) const LFM2_NORM: Pair = ("token_embd_norm.weight", "language_model.norm.weight");
 

@@ -158,11 +158,15 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     ];
     // Models that read text alone.
     let local = json!({"model_type": "gemma3_text", "head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
+    let streamed = json!({"model_type": "gemma3n_text", "head_dim": 32, "num_kv_shared_layers": 2, "sliding_window": 24,
+        "hidden_size_per_layer_input": 32, "laurel_rank": 32, "layer_types": varied["layer_types"],
+        "activation_sparsity_pattern": vec![0.7; text["num_hidden_layers"].as_u64().unwrap() as usize]});
     let texts = [
         ("llama", json!({"model_type": "llama"})),
         ("qwen2", json!({"model_type": "qwen2"})),
         ("qwen3", json!({"model_type": "qwen3", "head_dim": 32})),
         ("gemma3_text", local),
+        ("gemma3n", streamed),
         (
             "gemma4_text",
             with(varied, json!({"model_type": "gemma4_text"})),

@@ -67,9 +67,7 @@ impl MemoryNeed {
         let tokens = context
             .map_or(call, |context| context as u64)
             .min(decoder.context as u64);
-        let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
-        let largest = shapes().map(elements).max().unwrap_or(0);
         // Bounded by the weights: a configuration that exceeds them is refused when they are taken,
         // with the key at fault.
         let widest = shapes().flatten().copied().max().unwrap_or(0);
@@ -83,14 +81,19 @@ impl MemoryNeed {
         let states = float
             .saturating_mul(kept)
             .saturating_mul(own.layers.min(shapes().count()) as u64);
-        let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
+        // A layer has those before, those it predicts and those it corrects at once.
+        let further = decoder
+            .streams
+            .as_ref()
+            .map_or(0, |streams| 3 * (streams.count - 1));
+        let alive = (ROWS.0 + further as u64) * width(decoder.hidden)
+            + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
             cache: (2 * key_value * tokens)
                 .saturating_mul(keys)
                 .saturating_add(states),
-            // Once as in the file, once in f32.
-            work: (float * tokens * alive).max(2 * float * largest),
+            work: (float * tokens * alive).max(checkpoint.weights.largest_reading(quantize)),
             picture: picture.bytes,
         }
     }
@@ -255,6 +258,26 @@ mod tests {
         // in twelve copies, and 48 of them.
         let (keys, states) = (2 * 4 * 100 * 8 * 2, 4 * 4 * (12 * 3 * 32 + 48 * 32));
         assert_eq!(need.cache, keys + states);
+    }
+
+    /// Of the table of layers, the largest tensor: 282 times 56 numbers of 16 bits.
+    #[test]
+    fn a_tensor_is_once_as_in_its_file_and_rounded_by_way_of_f32() {
+        let checkpoint = open_checkpoint(&fixture("tiny_gemma3n"));
+        let decoder = checkpoint.decoder_config().unwrap();
+        let work = |quantize| {
+            let picture = PictureNeed::default();
+            MemoryNeed::estimate(&checkpoint, &decoder, picture, quantize, Some(1)).work
+        };
+        let numbers = 282 * 56;
+        assert_eq!(work(Some(WeightFormat::F32)), (2 + 4 + 4) * numbers);
+        assert_eq!(work(Some(WeightFormat::F16)), (2 + 4 + 2) * numbers);
+        // Of matrices in f32, nothing is rounded; the kernel of patches is copied.
+        let weights = open_checkpoint(&fixture("tiny_llava")).weights;
+        let (kernel, embedding) = (32 * 3 * 8 * 8, 352 * 32);
+        assert_eq!(weights.largest_reading(None), (4 + 4) * kernel);
+        let rounded = weights.largest_reading(Some(WeightFormat::F16));
+        assert_eq!(rounded, (4 + 4 + 2) * embedding);
     }
 
     #[test]

@@ -3,12 +3,12 @@
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles};
 use crate::gguf::names::{
-    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, GEMMA4_LAYERS, GEMMA4_SINGLE, LFM2_LAYERS,
-    LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, GEMMA3N_LAYERS, GEMMA3N_SINGLE,
+    GEMMA4_LAYERS, GEMMA4_SINGLE, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
 };
 use crate::gguf::{
     Changed, Described, Description, GgufLayout, Header, TextFiles, as_stored, decoder, gemma,
-    gemma4, lfm2, qwen35,
+    gemma3n, gemma4, lfm2, qwen35,
 };
 use std::collections::BTreeMap;
 
@@ -33,6 +33,20 @@ const GEMMA4_NAMES: Names = Names {
         GEMMA4_SINGLE[2],
     ],
     layers: &[GEMMA4_LAYERS],
+};
+
+const GEMMA3N_NAMES: Names = Names {
+    single: &[
+        EMBEDDING,
+        FINAL_NORM,
+        OUTPUT,
+        GEMMA4_SINGLE[0],
+        GEMMA4_SINGLE[1],
+        GEMMA4_SINGLE[2],
+        GEMMA3N_SINGLE[0],
+        GEMMA3N_SINGLE[1],
+    ],
+    layers: &[GEMMA3N_LAYERS],
 };
 
 const LFM2_NAMES: Names = Names {
@@ -82,6 +96,14 @@ impl TextGguf {
         changed: Changed::Nothing,
     };
 
+    /// The files of Gemma 3n.
+    pub(super) const OF_GEMMA3N: Self = Self {
+        architectures: &[gemma3n::ARCHITECTURE],
+        names: GEMMA3N_NAMES,
+        renamed: as_stored,
+        changed: Changed::Nothing,
+    };
+
     /// The files of LFM2.
     pub(super) const OF_LFM2: Self = Self {
         architectures: &[lfm2::ARCHITECTURE],
@@ -97,6 +119,17 @@ impl TextGguf {
         renamed: qwen35::renamed,
         changed: Changed::NormsAndHeads,
     };
+}
+
+impl TextGguf {
+    /// The configuration of a model of this family.
+    fn config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        if self.architectures == [gemma3n::ARCHITECTURE] {
+            super::gemma3n::config(files)
+        } else {
+            super::config(files, super::DecoderType::Llama)
+        }
+    }
 }
 
 impl GgufLayout for TextGguf {
@@ -135,7 +168,7 @@ impl GgufLayout for TextGguf {
     }
 
     fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
-        let config = super::config(files, super::DecoderType::Llama)?;
+        let config = self.config(files)?;
         Ok(described(&config))
     }
 }

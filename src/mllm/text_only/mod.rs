@@ -1,9 +1,12 @@
 //! Models that read text alone: a decoder with its tokenizer and chat template, and no vision tower.
 
+mod gemma3n;
 mod gguf;
 pub(crate) mod lfm2;
 mod model;
 
+#[cfg(test)]
+mod gemma3n_tests;
 #[cfg(test)]
 mod gemma_tests;
 #[cfg(test)]
@@ -11,6 +14,7 @@ mod lfm2_tests;
 
 use super::MllmError;
 use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Weights};
+use super::decoder::{LlamaLayer, StreamLayer};
 use super::family::{About, Family, OpenedModel};
 use gguf::TextGguf;
 use model::TextModel;
@@ -25,7 +29,7 @@ pub(crate) const LLAMA: Family = Family {
     decoder_config: |files| config(files, DecoderType::Llama),
     open: |files, weights| {
         let config = config(files, DecoderType::Llama)?;
-        Ok(Box::new(TextModel::take(weights, "llama", &config)?))
+        take(weights, "llama", &config)
     },
     about: About {
         models: "Llama, Mistral, SmolLM2",
@@ -50,7 +54,7 @@ pub(crate) const QWEN2: Family = Family {
     decoder_config: |files| config(files, DecoderType::Qwen2),
     open: |files, weights| {
         let config = config(files, DecoderType::Qwen2)?;
-        Ok(Box::new(TextModel::take(weights, "qwen2", &config)?))
+        take(weights, "qwen2", &config)
     },
     about: About {
         models: "Qwen2 and Qwen2.5",
@@ -70,7 +74,7 @@ pub(crate) const QWEN3: Family = Family {
     decoder_config: |files| config(files, DecoderType::Qwen3),
     open: |files, weights| {
         let config = config(files, DecoderType::Qwen3)?;
-        Ok(Box::new(TextModel::take(weights, "qwen3", &config)?))
+        take(weights, "qwen3", &config)
     },
     about: About {
         models: "Qwen3 with a dense decoder",
@@ -90,13 +94,39 @@ pub(crate) const GEMMA3: Family = Family {
     decoder_config: |files| config(files, DecoderType::Gemma3),
     open: |files, weights| {
         let config = config(files, DecoderType::Gemma3)?;
-        Ok(Box::new(TextModel::take(weights, "gemma3_text", &config)?))
+        take(weights, "gemma3_text", &config)
     },
     about: About {
         models: "Gemma 3 without its tower",
         gguf: &[("gemma3", None)],
         tested: "transformers, llama.cpp: tests/fixtures/tiny_gemma3_text",
         example: "google/gemma-3-270m-it",
+    },
+};
+
+/// Gemma 3n, whose vision tower is a convolutional network that this program does not have.
+pub(crate) const GEMMA3N: Family = Family {
+    name: "gemma3n",
+    config_names: &[
+        "gemma3n",
+        "Gemma3nForConditionalGeneration",
+        "gemma3n_text",
+        "Gemma3nForCausalLM",
+    ],
+    canonical_name: gemma3n::canonical_name,
+    gguf: Ok(&TextGguf::OF_GEMMA3N),
+    missing_tokenizer: TOKENIZER,
+    decoder_config: gemma3n::config,
+    open: |files, weights| {
+        let config = gemma3n::config(files)?;
+        let model = TextModel::<StreamLayer>::take(weights, "gemma3n", &config)?;
+        Ok(Box::new(model))
+    },
+    about: About {
+        models: "Gemma 3n without its towers",
+        gguf: &[("gemma3n", None)],
+        tested: "transformers, llama.cpp's converter: tests/fixtures/tiny_gemma3n",
+        example: "./my-gemma-3n",
     },
 };
 
@@ -130,7 +160,7 @@ pub(crate) const LFM2: Family = Family {
     decoder_config: |files| config(files, DecoderType::Lfm2),
     open: |files, weights| {
         let config = config(files, DecoderType::Lfm2)?;
-        Ok(Box::new(TextModel::take(weights, "lfm2", &config)?))
+        take(weights, "lfm2", &config)
     },
     about: About {
         models: "LFM2 and LFM2.5 with a dense decoder",
@@ -150,7 +180,7 @@ pub(crate) const QWEN35: Family = Family {
     decoder_config: |files| config(files, DecoderType::Qwen35),
     open: |files, weights| {
         let config = config(files, DecoderType::Qwen35)?;
-        Ok(Box::new(TextModel::take(weights, "qwen3_5_text", &config)?))
+        take(weights, "qwen3_5_text", &config)
     },
     about: About {
         models: "Qwen3.5 without its tower",
@@ -164,7 +194,9 @@ const TOKENIZER: &str = "tokenizer.json";
 
 /// Takes the weights of a language model of the family `name`.
 pub(crate) fn take(weights: &mut Weights, name: &'static str, config: &LlamaConfig) -> OpenedModel {
-    Ok(Box::new(TextModel::take(weights, name, config)?))
+    Ok(Box::new(TextModel::<LlamaLayer>::take(
+        weights, name, config,
+    )?))
 }
 
 /// The canonical name of a tensor of a Gemma 4, from that of a Llama: the factor of a layer is no

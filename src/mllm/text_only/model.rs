@@ -2,21 +2,22 @@
 
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles, Weights};
-use crate::decoder::{Decoder, LanguageModel, LlamaLayer};
+use crate::decoder::{Decoder, DecoderLayer, LanguageModel};
 use crate::family::{
     Chat, ChatFormat, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel, no_picture,
 };
 use crate::text::{ChatTemplate, ChatTokenizer};
 use image::RgbImage;
+use std::fmt::Debug;
 
 /// A decoder that reads text alone.
 #[derive(Debug)]
-pub(super) struct TextModel {
-    decoder: Decoder<LlamaLayer>,
+pub(super) struct TextModel<L> {
+    decoder: Decoder<L>,
     info: ModelInfo,
 }
 
-impl TextModel {
+impl<L: DecoderLayer> TextModel<L> {
     /// Takes the weights of a model of the family `name`.
     pub(super) fn take(
         weights: &mut Weights,
@@ -30,7 +31,7 @@ impl TextModel {
     }
 }
 
-impl VisionLanguageModel for TextModel {
+impl<L: DecoderLayer + Debug + Send + Sync> VisionLanguageModel for TextModel<L> {
     fn info(&self) -> &ModelInfo {
         &self.info
     }

@@ -13,21 +13,22 @@ mod waypoints;
 
 use super::attempts::{AttemptLimits, Attempts, Question, Trial};
 use super::clock::Clock;
+use super::language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::{
     PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
 };
 use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
-use crate::environment::{LaneGraph, TextForm};
+use crate::environment::{GraphedScene, TextForm};
 use crate::reasoning::{
     AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, Feedback, Names,
     PromptSet, ReasoningError, ReasoningSettings, ReasoningTrace, WAYPOINT_SECONDS,
 };
 use crate::reflection::Judge;
-use planagent_mllm::{Deadline, Mllm, milliseconds};
+use planagent_mllm::{Mllm, milliseconds};
 use planagent_score::pdm::{
-    self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, ReferencePath, plan_tuned,
+    self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, ReferencePath, plan_tuned,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::geometry::Pose;
@@ -44,6 +45,8 @@ pub struct LlmAssist {
     reasoning: ReasoningSettings,
     settings: PlanAgentSettings,
     memory: PdmMemory,
+    /// The score of PDM-Closed's best proposal when the model was last to be asked.
+    score: f64,
     active: Option<Assisted>,
     /// When the active answer ends and the model may be asked again.
     clock: Clock,
@@ -62,7 +65,7 @@ pub struct AskedModel {
 
 /// What an answer stands for.
 #[derive(Debug, Clone)]
-enum Assisted {
+pub enum Assisted {
     /// A trajectory.
     Plan(Trajectory),
     /// PDM-Closed with these parameters.
@@ -91,6 +94,7 @@ impl LlmAssist {
             reasoning,
             settings,
             memory,
+            score: 0.0,
             active: None,
             clock,
             calls,
@@ -104,121 +108,72 @@ impl LlmAssist {
             .gate
             .unwrap_or(self.settings.reflection.threshold)
     }
+}
 
-    /// One planning call, made where PDM-Closed's best proposal scores less than τ.
-    fn call(
-        &mut self,
-        iteration: usize,
-        scene: &SceneView<'_>,
-        rules: &PdmPlan,
-    ) -> Result<(), PlannerError> {
-        let started = Instant::now();
-        let at_s = self.clock.elapsed_s(scene.ego.time_us);
-        // Before the graph is built: a call without one counts as made, or it would be tried at
-        // every step.
-        self.clock.set_called();
-        let graph = match LaneGraph::build(scene, self.settings.environment.node_length_m) {
-            Ok(graph) => graph,
-            Err(error) => {
-                let decision = Decision::RuleBased(NoPlan::NoLaneGraph(error.to_string()));
-                let total_ms = milliseconds(started.elapsed());
-                self.calls.push(PlanningCall::without_attempts(
-                    iteration, at_s, decision, total_ms,
-                ));
-                return Ok(());
-            }
-        };
-        let question = self.question(scene, &graph, rules);
-        let environment_ms = milliseconds(started.elapsed());
-        let deadline = self
-            .settings
-            .deadline()
-            .map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
-        let attempts = self.ask(iteration, scene, &question, deadline)?;
-        let decision = decide(&attempts, rules);
-        let (attempts, active) = attempts.into_records(decision.attempt());
-        self.active = active;
-        self.calls.push(PlanningCall {
-            iteration,
-            at_s,
-            image: None,
-            image_hash: None,
-            scene_text: Some(question.scene_text),
-            forms: Some(*self.prompts.forms()),
-            attempts,
-            decision,
-            emergency_brakes: 0,
-            handovers: 0,
-            aborted_lane_change: None,
-            active_from: None,
-            environment_ms,
-            total_ms: milliseconds(started.elapsed()),
-        });
-        Ok(())
+impl LanguageAgent for LlmAssist {
+    type Observation<'a> = AssistQuestion;
+    type Plan = Assisted;
+
+    fn settings(&self) -> &PlanAgentSettings {
+        &self.settings
     }
 
-    fn question(
-        &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
-        rules: &PdmPlan,
-    ) -> AssistQuestion {
+    fn observe(
+        &mut self,
+        GraphedScene { scene, graph }: GraphedScene<'_>,
+    ) -> Result<AssistQuestion, PlannerError> {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
             form @ (TextForm::Compact | TextForm::Compact2) => {
                 text::write(&Description::from_graph(graph), form)
             }
         };
-        let speed_limit = Names::from_graph(graph).speed_limit;
-        AssistQuestion {
+        Ok(AssistQuestion {
             scene_text,
-            score: rules.scores[rules.best].total,
-            speed_limit,
+            score: self.score,
+            speed_limit: Names::from_graph(graph).speed_limit,
+        })
+    }
+
+    fn shown(&self, question: &AssistQuestion) -> Shown {
+        Shown {
+            image: None,
+            text: Some(question.scene_text.clone()),
+            forms: Some(*self.prompts.forms()),
         }
     }
 
     /// Attempts until an answer reaches τ, `max_exec` are made, or the call is interrupted.
-    fn ask(
+    fn attempts(
         &mut self,
-        iteration: usize,
-        scene: &SceneView<'_>,
         question: &AssistQuestion,
-        deadline: Deadline,
+        GraphedScene { scene, .. }: GraphedScene<'_>,
+        CallTerms { seed, deadline }: CallTerms,
     ) -> Result<Attempts<Assisted>, PlannerError> {
         let tau = self.tau();
-        let Self {
-            variant,
-            model,
-            prompts,
-            reasoning,
-            settings,
-            memory,
-            ..
-        } = self;
-        let seed = settings.call_seed(iteration);
         let reasoning = AssistReasoning::open(
-            *variant,
-            model.as_ref(),
-            prompts.as_ref(),
-            reasoning,
+            self.variant,
+            self.model.as_ref(),
+            self.prompts.as_ref(),
+            &self.reasoning,
             question,
             seed,
             deadline,
         )?;
         let PdmMemory {
-            reference_path: Some(path),
+            reference_path,
             collided,
-        } = memory
-        else {
-            return Ok(Attempts::NONE);
-        };
+        } = &mut self.memory;
+        let path = reference_path
+            .as_ref()
+            .expect("PDM-Closed plans along it before the model is asked");
         let started = Instant::now();
         // Over PDM-Closed's own horizon, so that an answer's score compares with τ as its proposals
         // do.
         let judge = Judge::along(scene, path, PROPOSAL_STEPS as f64 * STEP_S, collided)?;
         let observation_ms = milliseconds(started.elapsed());
         let limits = AttemptLimits {
-            max_exec: settings.reflection.max_exec,
+            max_exec: self.settings.reflection.max_exec,
             threshold: tau,
             compares: false,
         };
@@ -230,7 +185,33 @@ impl LlmAssist {
             judge,
             tau,
         };
-        Attempts::make(&mut asked, limits, observation_ms)
+        let mut attempts = Attempts::make(&mut asked, limits, observation_ms)?;
+        attempts.rival = Some(self.score);
+        Ok(attempts)
+    }
+
+    /// The first answer that is accepted, else the best one if it scores more than PDM-Closed's own
+    /// best proposal, else PDM-Closed.
+    fn decide(&self, attempts: &Attempts<Assisted>) -> Decision {
+        if let Some(index) = attempts.accepted() {
+            return Decision::Execute(index);
+        }
+        match (attempts.best(), &attempts.interruption) {
+            (Some(index), _)
+                if attempts
+                    .rival
+                    .is_some_and(|rules| attempts.score(index) > rules) =>
+            {
+                Decision::Exhausted(index)
+            }
+            (_, Some(why)) => self.without_plan(NoPlan::Interrupted(why.clone())),
+            (Some(_), None) => self.without_plan(NoPlan::Outscored),
+            (None, None) => self.without_plan(NoPlan::Unreadable(attempts.unreadable())),
+        }
+    }
+
+    fn without_plan(&self, why: NoPlan) -> Decision {
+        Decision::RuleBased(why)
     }
 }
 
@@ -260,9 +241,15 @@ impl Planner for LlmAssist {
             .clock
             .is_due(self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64))
         {
-            self.active = None;
-            if rules.scores[rules.best].total < self.tau() {
-                self.call(input.iteration, scene, &rules)?;
+            (self.active, self.score) = (None, rules.scores[rules.best].total);
+            if self.score < self.tau() {
+                // Before the call, which counts as made also without a lane graph: else it would be
+                // tried at every step.
+                self.clock.set_called();
+                let at_s = self.clock.elapsed_s(scene.ego.time_us);
+                let (call, active) = planning_call(self, input, at_s, Instant::now())?;
+                self.active = active;
+                self.calls.push(call);
             }
         }
         match (&self.active, &mut self.memory) {
@@ -354,21 +341,5 @@ fn tuned(parameters: AssistParameters) -> PdmParameters {
         accel_max,
         decel_max,
         emergency_brake,
-    }
-}
-
-/// The first answer that is accepted, else the best one if it scores more than PDM-Closed's own
-/// best proposal, else PDM-Closed.
-fn decide(attempts: &Attempts<Assisted>, rules: &PdmPlan) -> Decision {
-    if let Some(index) = attempts.accepted() {
-        return Decision::Execute(index);
-    }
-    match (attempts.best(), &attempts.interruption) {
-        (Some(index), _) if attempts.score(index) > rules.scores[rules.best].total => {
-            Decision::Exhausted(index)
-        }
-        (_, Some(why)) => Decision::RuleBased(NoPlan::Interrupted(why.clone())),
-        (Some(_), None) => Decision::RuleBased(NoPlan::Outscored),
-        (None, None) => Decision::RuleBased(NoPlan::Unreadable(attempts.unreadable())),
     }
 }

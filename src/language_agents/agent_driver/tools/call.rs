@@ -1,6 +1,7 @@
 //! A call as a model writes it: `name(argument, name=argument)`.
 
 use super::{Parameter, REACH, Tool};
+use crate::agent::beginning;
 use crate::waypoints::{any_of, text};
 use planagent_mllm::Constraint;
 
@@ -8,6 +9,9 @@ use planagent_mllm::Constraint;
 const NAMED_OBJECTS: usize = 8;
 /// Places that a call may name under the grammar.
 const NAMED_PLACES: usize = 2;
+
+/// Objects or places that a call may name at all: an answer of a server can be long.
+const MAX_NAMED: usize = 64;
 
 /// A call.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,14 +34,14 @@ pub(super) fn read(answer: &str) -> Result<Call, String> {
     let answer = answer.trim();
     let (function, rest) = answer
         .split_once('(')
-        .ok_or_else(|| format!("'{}' is no call; write name(arguments)", shown(answer)))?;
+        .ok_or_else(|| format!("'{}' is no call; write name(arguments)", beginning(answer)))?;
     let function = function.trim();
     if function.is_empty()
         || !function
             .chars()
             .all(|c| c.is_ascii_alphanumeric() || c == '_')
     {
-        return Err(format!("'{}' is no name of a tool", shown(function)));
+        return Err(format!("'{}' is no name of a tool", beginning(function)));
     }
     let close = closing(rest).ok_or("the call is not closed")?;
     let (inside, behind) = rest.split_at(close);
@@ -46,6 +50,7 @@ pub(super) fn read(answer: &str) -> Result<Call, String> {
         return Err("call one tool, not several".to_owned());
     }
     let arguments = split(inside)
+        .ok_or("an argument is empty")?
         .into_iter()
         .map(|part| match part.split_once('=') {
             Some((name, value)) => Argument {
@@ -65,11 +70,6 @@ pub(super) fn read(answer: &str) -> Result<Call, String> {
     })
 }
 
-/// The start of a text, for a message.
-fn shown(text: &str) -> String {
-    text.chars().take(40).collect()
-}
-
 /// Where the bracket that is open before a text closes.
 fn closing(text: &str) -> Option<usize> {
     let mut depth = 0_usize;
@@ -84,8 +84,12 @@ fn closing(text: &str) -> Option<usize> {
     None
 }
 
-/// The parts between commas that no bracket holds.
-fn split(text: &str) -> Vec<&str> {
+/// The parts between commas that no bracket holds; none of a blank text. `None` where a part among
+/// others is blank.
+fn split(text: &str) -> Option<Vec<&str>> {
+    if text.trim().is_empty() {
+        return Some(Vec::new());
+    }
     let (mut parts, mut depth, mut start) = (Vec::new(), 0_usize, 0);
     for (at, c) in text.char_indices() {
         match c {
@@ -99,8 +103,8 @@ fn split(text: &str) -> Vec<&str> {
         }
     }
     parts.push(&text[start..]);
-    parts.retain(|part| !part.trim().is_empty());
-    parts
+    let is_whole = parts.iter().all(|part| !part.trim().is_empty());
+    is_whole.then_some(parts)
 }
 
 /// The next argument, which must be that of a parameter.
@@ -114,58 +118,60 @@ pub(super) fn take(
     match &argument.name {
         Some(name) if name != parameter => Err(format!(
             "'{}' stands where {parameter} is expected",
-            shown(name)
+            beginning(name)
         )),
         _ => Ok(argument),
     }
 }
 
 pub(super) fn number(argument: &Argument, parameter: &str) -> Result<f64, String> {
-    match argument.text.parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(format!(
-            "{parameter} = '{}' is no number",
-            shown(&argument.text)
-        )),
-    }
+    finite(&argument.text)
+        .ok_or_else(|| format!("{parameter} = '{}' is no number", beginning(&argument.text)))
 }
 
 /// A list of numbers.
 pub(super) fn numbers(argument: &Argument) -> Result<Vec<f64>, String> {
-    let wrong = || format!("'{}' is no list of numbers", shown(&argument.text));
-    let inside = inside(&argument.text).ok_or_else(wrong)?;
-    split(inside)
+    let wrong = || format!("'{}' is no list of numbers", beginning(&argument.text));
+    listed(argument, &wrong)?
         .into_iter()
-        .map(|part| {
-            let value: f64 = part.trim().parse().map_err(|_| wrong())?;
-            if value.is_finite() {
-                Ok(value)
-            } else {
-                Err(wrong())
-            }
-        })
+        .map(|part| finite(part).ok_or_else(wrong))
         .collect()
 }
 
 /// A list of places.
 pub(super) fn places(argument: &Argument) -> Result<Vec<(f64, f64)>, String> {
-    let wrong = || format!("'{}' is no list of places", shown(&argument.text));
-    let inside = inside(&argument.text).ok_or_else(wrong)?;
-    split(inside)
+    let wrong = || format!("'{}' is no list of places", beginning(&argument.text));
+    listed(argument, &wrong)?
         .into_iter()
         .map(|part| {
             let pair = part.trim();
-            let pair = pair
-                .trim_start_matches(['(', '['])
-                .trim_end_matches([')', ']']);
-            let (x, y) = pair.split_once(',').ok_or_else(wrong)?;
-            let number = |text: &str| {
-                let value: Option<f64> = text.trim().parse().ok();
-                value.filter(|value| value.is_finite()).ok_or_else(wrong)
+            let inside = match pair.strip_prefix('(') {
+                Some(open) => open.strip_suffix(')'),
+                None => inside(pair),
             };
-            Ok((number(x)?, number(y)?))
+            let (x, y) = inside
+                .and_then(|pair| pair.split_once(','))
+                .ok_or_else(wrong)?;
+            finite(x).zip(finite(y)).ok_or_else(wrong)
         })
         .collect()
+}
+
+/// The parts of a list.
+fn listed<'a>(argument: &'a Argument, wrong: &dyn Fn() -> String) -> Result<Vec<&'a str>, String> {
+    let parts = inside(&argument.text).and_then(split).ok_or_else(wrong)?;
+    match parts.len() {
+        0 => Err("the list is empty".to_owned()),
+        count if count > MAX_NAMED => Err(format!(
+            "the list has {count} parts, and {MAX_NAMED} are the limit"
+        )),
+        _ => Ok(parts),
+    }
+}
+
+fn finite(text: &str) -> Option<f64> {
+    let value: Option<f64> = text.trim().parse().ok();
+    value.filter(|value| value.is_finite())
 }
 
 /// What a list holds.

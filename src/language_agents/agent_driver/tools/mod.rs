@@ -5,6 +5,7 @@ mod call;
 mod objects;
 mod road;
 
+use crate::agent::beginning;
 use call::{Argument, Call};
 pub(crate) use objects::SeenObject;
 use planagent_agent::reasoning::ToolUse;
@@ -300,7 +301,7 @@ impl<'a> Facts<'a> {
                 format!(
                     "there is no {} tool '{}'; there are {}",
                     group.name(),
-                    call.function,
+                    beginning(&call.function),
                     known.join(", ")
                 )
             })?;
@@ -358,7 +359,7 @@ impl<'a> Facts<'a> {
         match given.next() {
             Some(Argument { name, .. }) => Err(format!(
                 "{} is one argument too many",
-                name.unwrap_or_else(|| "the last".to_owned())
+                name.map_or_else(|| "the last".to_owned(), |name| beginning(&name))
             )),
             None => Ok(found),
         }
@@ -370,10 +371,13 @@ impl<'a> Facts<'a> {
         ids.into_iter()
             .map(|id| {
                 let known =
-                    (0..self.objects.len()).find(|&known| (known as f64 - id).abs() < f64::EPSILON);
-                known.ok_or_else(|| match self.objects.len() {
-                    0 => format!("there is no object {id}, and no other"),
-                    count => format!("there is no object {id}; there are 0 to {}", count - 1),
+                    (0..self.objects.len()).find(|&known| (known as f64).total_cmp(&id).is_eq());
+                known.ok_or_else(|| {
+                    let id = beginning(&id.to_string());
+                    match self.objects.len() {
+                        0 => format!("there is no object {id}, and no other"),
+                        count => format!("there is no object {id}; there are 0 to {}", count - 1),
+                    }
                 })
             })
             .collect()
