@@ -55,7 +55,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["activation", "awake", "values", "work"],
             &["matrix"],
-            &["layer_norm", "limits", "linear", "pointwise", "rms_norm"],
+            &[
+                "layer_norm",
+                "limits",
+                "linear",
+                "pointwise",
+                "rms_norm",
+                "sparse_gates",
+            ],
             &["attention", "delta_rule"],
         ],
     ),

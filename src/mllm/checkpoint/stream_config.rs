@@ -73,6 +73,7 @@ impl StreamConfig {
             text,
             &[(COUNT, count, MAX_STREAMS), (RANK, rank, MAX_WIDTH)],
         )?;
+        // Key by key, each checked before anything is made of it.
         check_width(text, COUNT, count, config.hidden)?;
         let active = text.value(ACTIVE)?.unwrap_or(0);
         if active >= count {

@@ -39,12 +39,6 @@ impl DecoderLayer for StreamLayer {
     ) -> Result<Self, MllmError> {
         let streams = config.streams.as_ref();
         let cutoff = streams.and_then(|streams| *streams.cutoffs.get(layer)?);
-        let scale = format!("{name}.altup.correct_output_scale.weight");
-        let input_scale = if streams.is_some_and(|streams| streams.scaled) {
-            Some(weights.take(&scale, &[config.hidden])?)
-        } else {
-            None
-        };
         let width = config.shape(layer).intermediate;
         let mlp = SwiGlu::take_mlp(weights, &format!("{name}.mlp"), config, width)?;
         let mixer = mixer::take(weights, config, layer, name)?;
@@ -59,7 +53,7 @@ impl DecoderLayer for StreamLayer {
             update: StreamUpdate::take(weights, config, &format!("{name}.altup"))?,
             low_rank: LowRank::take(weights, config, &format!("{name}.laurel"))?,
             input: LayerInput::take(weights, config, layer, name)?,
-            input_scale,
+            input_scale: input_scale(weights, config, name)?,
         })
     }
 
@@ -100,6 +94,21 @@ impl DecoderLayer for StreamLayer {
         self.update
             .add_to_others(&corrected, &input.forward(&reading, pass)?)
     }
+}
+
+/// The factors of the active stream of the layer called `name` where it reads the layer's own input;
+/// none where the configuration says that there are none.
+fn input_scale(
+    weights: &mut Weights,
+    config: &LlamaConfig,
+    name: &str,
+) -> Result<Option<Tensor>, MllmError> {
+    let streams = config.streams.as_ref();
+    if !streams.is_some_and(|streams| streams.scaled) {
+        return Ok(None);
+    }
+    let name = format!("{name}.altup.correct_output_scale.weight");
+    Ok(Some(weights.take(&name, &[config.hidden])?))
 }
 
 /// A part beside attention: x and the normalized product with a matrix of low rank (Learned

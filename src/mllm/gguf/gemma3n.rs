@@ -44,29 +44,13 @@ pub(super) fn add_keys(
     config: &mut Value,
     notes: &mut Vec<String>,
 ) -> Result<(), MllmError> {
-    let layers = config["num_hidden_layers"].as_u64().unwrap_or(0) as usize;
-    let widths = by_layer(header, WIDTHS)?.unwrap_or_default();
-    if widths.len() > 1 {
-        check_length(header, WIDTHS, widths.len(), layers)?;
-        config["intermediate_size"] = json!(widths);
-    }
-    let local: Option<Vec<bool>> = header.list(PATTERN, "a list of true and false")?;
-    let local = local.ok_or_else(|| header.missing(PATTERN))?;
-    check_length(header, PATTERN, local.len(), layers)?;
-    let kind = |local| {
-        if local {
-            "sliding_attention"
-        } else {
-            "full_attention"
-        }
-    };
-    config["layer_types"] = local.into_iter().map(kind).collect();
-    config["activation_sparsity_pattern"] = json!(sparse_parts(header, layers)?);
+    add_layers(header, config)?;
     config["rope_local_base_freq"] = json!(number(header, LOCAL_BASE, DEFAULT_LOCAL_BASE, notes)?);
     config["final_logit_softcapping"] = json!(number(header, CAP, DEFAULT_CAP, notes)?);
     config["sliding_window"] = json!(header.required_count(WINDOW)?);
     config["hidden_size_per_layer_input"] = json!(header.required_count(INPUTS)?);
     config["altup_num_inputs"] = json!(header.required_count(STREAMS)?);
+    // Their 0 is a number, so they must be there.
     for (key, name) in [
         (SHARED, "num_kv_shared_layers"),
         (ACTIVE, "altup_active_idx"),
@@ -86,6 +70,29 @@ pub(super) fn add_keys(
         }
     }
     config["hidden_activation"] = json!("gelu_pytorch_tanh");
+    Ok(())
+}
+
+/// Adds how layers differ: their width, kind and sparsity.
+fn add_layers(header: &Header, config: &mut Value) -> Result<(), MllmError> {
+    let layers = config["num_hidden_layers"].as_u64().unwrap_or(0) as usize;
+    // One number stands for all layers.
+    if let Some(widths) = by_layer(header, WIDTHS)?.filter(|widths| widths.len() > 1) {
+        check_length(header, WIDTHS, widths.len(), layers)?;
+        config["intermediate_size"] = json!(widths);
+    }
+    let local: Option<Vec<bool>> = header.list(PATTERN, "a list of true and false")?;
+    let local = local.ok_or_else(|| header.missing(PATTERN))?;
+    check_length(header, PATTERN, local.len(), layers)?;
+    let kind = |local| {
+        if local {
+            "sliding_attention"
+        } else {
+            "full_attention"
+        }
+    };
+    config["layer_types"] = local.into_iter().map(kind).collect();
+    config["activation_sparsity_pattern"] = json!(sparse_parts(header, layers)?);
     Ok(())
 }
 
