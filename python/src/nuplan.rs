@@ -13,7 +13,8 @@ use planagent_scenario::nuplan::{MapStore, NuPlanMap};
 use pyo3::prelude::*;
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex};
+use std::process;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// An object: its track token, its kind by number, then x, y, heading, length, width, vx, vy.
 type ObjectRow = (String, u8, [f64; 7]);
@@ -36,15 +37,27 @@ struct Past {
     start_us: Option<i64>,
 }
 
+/// The maps of folders, by process: a store that another thread of the parent reads into stays
+/// locked in a fork.
+type Stores = HashMap<(u32, PathBuf), Arc<MapStore>>;
+
+static STORES: Mutex<Option<Stores>> = Mutex::new(None);
+
+/// The lock of the maps, held through a fork.
+pub(crate) type HeldMaps = MutexGuard<'static, Option<Stores>>;
+
+pub(crate) fn held_maps() -> HeldMaps {
+    lock(&STORES)
+}
+
 /// The map of a location; each is read once in a process.
 fn map(root: PathBuf, location: &str) -> Outcome<Arc<NuPlanMap>> {
-    static STORES: Mutex<Option<HashMap<PathBuf, Arc<MapStore>>>> = Mutex::new(None);
     let store = {
         let mut stores = lock(&STORES);
         let stores = stores.get_or_insert_default();
         Arc::clone(
             stores
-                .entry(root.clone())
+                .entry((process::id(), root.clone()))
                 .or_insert_with(|| Arc::new(MapStore::new(Some(root)))),
         )
     };
@@ -173,8 +186,13 @@ impl NuPlanWorld {
                 tracks,
                 start_us,
             } = &mut *past;
-            for row in samples {
-                history.push(self.sample(row, tracks)?);
+            // All are read before one is kept, so that a wrong one leaves no half of a scene.
+            let samples: Outcome<Vec<HistorySample>> = samples
+                .into_iter()
+                .map(|row| self.sample(row, tracks))
+                .collect();
+            for sample in samples? {
+                history.push(sample);
             }
             let present = history.latest().cloned();
             let present =

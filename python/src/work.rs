@@ -23,11 +23,11 @@ use std::time::Duration;
 /// The environment variable that sets the number of threads.
 const THREADS: &str = "PLANAGENT_THREADS";
 const MAX_THREADS: usize = 512;
-/// Time between two looks at signals.
+/// Time between two checks for signals.
 pub(crate) const POLL: Duration = Duration::from_millis(20);
 /// Time that interrupted work has to end before the interpreter leaves it behind.
 const GRACE: Duration = Duration::from_millis(60);
-/// Stack of all threads, bytes; only what is used takes memory.
+/// Stack of each thread, bytes; only what is used takes memory.
 const STACK: usize = 16 << 20;
 
 /// The pool of a process. A fork copies the pool but none of its threads, so the child makes one of
@@ -56,6 +56,7 @@ struct Held {
     _pool: MutexGuard<'static, Option<OwnPool>>,
     _asked: MutexGuard<'static, Option<usize>>,
     _models: crate::settings::HeldModels,
+    _maps: crate::nuplan::HeldMaps,
     #[cfg(unix)]
     _watching: MutexGuard<'static, usize>,
 }
@@ -68,6 +69,7 @@ pub(crate) fn before_fork() {
         _pool: lock(&POOL),
         _asked: lock(&ASKED),
         _models: crate::settings::held_models(),
+        _maps: crate::nuplan::held_maps(),
         #[cfg(unix)]
         _watching: crate::interrupts::held(),
     };
@@ -82,20 +84,28 @@ pub(crate) fn after_fork() {
 
 /// The number of threads: what was asked for, else `PLANAGENT_THREADS`, else what affinity and
 /// cgroup allow.
-fn wanted() -> usize {
-    let of_environment = || std::env::var(THREADS).ok()?.trim().parse().ok();
-    let available = || thread::available_parallelism().map_or(1, NonZero::get);
+fn wanted() -> Outcome<usize> {
     let asked: Option<usize> = *lock(&ASKED);
-    asked
-        .or_else(of_environment)
-        .filter(|&threads| threads > 0)
-        .unwrap_or_else(available)
-        .min(MAX_THREADS)
+    if let Some(asked) = asked {
+        return Ok(asked);
+    }
+    let Some(text) = std::env::var_os(THREADS).filter(|text| !text.is_empty()) else {
+        let available = thread::available_parallelism().map_or(1, NonZero::get);
+        return Ok(available.min(MAX_THREADS));
+    };
+    let number = text.to_str().and_then(|text| text.trim().parse().ok());
+    number
+        .filter(|number| (1..=MAX_THREADS).contains(number))
+        .ok_or_else(|| {
+            Failure::argument(format!(
+                "{THREADS} is {text:?}; the number of threads must lie in 1 to {MAX_THREADS}"
+            ))
+        })
 }
 
 fn built(name: &'static str) -> Outcome<ThreadPool> {
     let built = ThreadPoolBuilder::new()
-        .num_threads(wanted())
+        .num_threads(wanted()?)
         .thread_name(move |i| format!("{name}-{i}"))
         .stack_size(STACK)
         .build();
@@ -133,8 +143,8 @@ fn leave_pool() {
 
 /// Number of threads that simulations and models use.
 #[pyfunction]
-pub(crate) fn threads(py: Python<'_>) -> usize {
-    py.detach(wanted)
+pub(crate) fn threads(py: Python<'_>) -> PyResult<usize> {
+    py.detach(wanted).or_raise(py)
 }
 
 /// Sets the number of threads; `None` restores the default. Work in progress keeps the old ones.

@@ -128,6 +128,16 @@ def test_the_environment_sets_the_number_of_threads():
     assert shown.stdout == "5\n"
 
 
+@pytest.mark.parametrize("wrong", ["abc", "0", "1000", "2.5", "-1"])
+def test_a_wrong_number_of_threads_in_the_environment_is_an_error(wrong):
+    environment = {**os.environ, "PLANAGENT_THREADS": wrong}
+    program = "import planagent; planagent.open('generated/changing_lane/2')"
+    shown = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    last = shown.stderr.strip().splitlines()[-1]
+    assert shown.returncode == 1 and "ArgumentError" in last, shown.stderr
+    assert f'PLANAGENT_THREADS is "{wrong}"; the number of threads must lie in 1 to 512' in last
+
+
 def test_the_import_takes_numpy_alone():
     program = "import sys, planagent; print([m for m in ('gymnasium', 'nuplan', 'pandas', 'pyarrow') if m in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -276,8 +276,7 @@ impl PlanAgentSettings {
     }
 
     /// The seed of the planning call at an iteration.
-    #[doc(hidden)]
-    pub fn call_seed(&self, iteration: usize) -> u64 {
+    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
         self.seed
             .wrapping_mul(0x9E37_79B9_7F4A_7C15)
             .wrapping_add(iteration as u64)

@@ -2,10 +2,10 @@
 
 use super::reply::Body;
 use std::io::{self, Read};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-/// Time for what follows an answer that is complete: counts, and the mark of the end. Some servers
+/// Time for what follows a complete answer: the counts of tokens, and the end marker. Some servers
 /// send neither, and leave the connection open.
 const MAX_AFTER_ANSWER: Duration = Duration::from_secs(1);
 /// Bytes that are read at once, and pieces that may wait for the reader.
@@ -17,34 +17,46 @@ pub(super) struct Ahead {
     /// What is left of the last piece.
     rest: Vec<u8>,
     taken: usize,
-    /// When the bytes count as ended; none while the answer is not complete.
+    /// When to wait no more; none while the answer is not complete.
     until: Option<Instant>,
+    /// The end was reported, and stays.
+    ended: bool,
 }
 
 impl Ahead {
     /// Reads a response in a thread of its own. The thread ends with the response, which has a time
-    /// limit, or with the next piece after this is dropped.
+    /// limit. It also ends with the first piece after this value is dropped.
     pub(super) fn new(response: impl Read + Send + 'static) -> Self {
         let (sender, pieces) = sync_channel(WAITING);
-        std::thread::spawn(move || send_pieces(response, &sender));
+        let failure = sender.clone();
+        let thread = std::thread::Builder::new().name("planagent-reply".to_owned());
+        if let Err(error) = thread.spawn(move || send_pieces(response, &sender)) {
+            // An empty channel takes it at once, and the reader gets it in the place of a reply.
+            failure.try_send(Err(error)).ok();
+        }
         Self {
             pieces,
             rest: Vec::new(),
             taken: 0,
             until: None,
+            ended: false,
         }
     }
 
     /// The next piece; an empty one at the end.
     fn next(&mut self) -> io::Result<Vec<u8>> {
-        let Some(until) = self.until else {
-            return self.pieces.recv().unwrap_or(Ok(Vec::new()));
-        };
-        let left = until.saturating_duration_since(Instant::now());
-        match self.pieces.recv_timeout(left) {
-            Ok(piece) => piece,
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Ok(Vec::new()),
+        if self.ended {
+            return Ok(Vec::new());
         }
+        let piece = match self.until {
+            None => self.pieces.recv().ok(),
+            Some(until) => {
+                let left = until.saturating_duration_since(Instant::now());
+                self.pieces.recv_timeout(left).ok()
+            }
+        };
+        self.ended = !matches!(piece, Some(Ok(_)));
+        piece.unwrap_or(Ok(Vec::new()))
     }
 }
 
