@@ -17,9 +17,12 @@ use planagent_mllm::{
 use planagent_scenario::{HeldScenario, Scenario, generator};
 use std::sync::{Arc, Mutex};
 
-/// Answers a question by a function of the question and its number; keeps the questions.
+/// An answer by the question and its number.
+type Script = Box<dyn Fn(&str, usize) -> String + Send + Sync>;
+
+/// Answers questions by a script; keeps the questions.
 pub(crate) struct Stub {
-    answer: Box<dyn Fn(&str, usize) -> String + Send + Sync>,
+    answer: Script,
     finish: FinishReason,
     pub(crate) asked: Mutex<Vec<(String, Constraint)>>,
 }

@@ -160,12 +160,11 @@ pub fn planning_call<A: LanguageAgent>(
         environment_ms,
         ..begun(decision)
     };
-    let plan = match plan {
-        Some(plan) => Some(agent.settle(plan, &mut call, seen)?),
-        None => {
-            agent.go_on(seen)?;
-            None
-        }
+    let plan = if let Some(plan) = plan {
+        Some(agent.settle(plan, &mut call, seen)?)
+    } else {
+        agent.go_on(seen)?;
+        None
     };
     call.total_ms = total_ms();
     Ok((call, plan))

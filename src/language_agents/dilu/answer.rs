@@ -37,14 +37,12 @@ pub(super) fn read_action(
     chat: &Chat<'_>,
 ) -> Reply<DrivingAction> {
     // The last delimiter, because a model often repeats the instructions before it answers.
-    match answer.rsplit_once(DELIMITER) {
-        Some((_, number)) => read_number(answer, number, offered, chat),
-        None => {
-            let message = format!("no {DELIMITER} with an action");
-            let error = error(answer.len()..answer.len(), message, offered);
-            Reply::wrong(error, chat.without_line())
-        }
+    if let Some((_, number)) = answer.rsplit_once(DELIMITER) {
+        return read_number(answer, number, offered, chat);
     }
+    let message = format!("no {DELIMITER} with an action");
+    let error = error(answer.len()..answer.len(), message, offered);
+    Reply::wrong(error, chat.without_line())
 }
 
 /// The action of an answer that is to be a number alone.
