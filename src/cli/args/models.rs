@@ -81,7 +81,7 @@ pub(crate) struct QuantizeArguments {
     pub(crate) to: WeightFormat,
     /// The file, NAME.gguf.
     ///
-    /// The vision tower of a LLaVA is written beside it as mmproj-NAME.gguf.
+    /// The vision tower of a pair for llama.cpp is written beside it as mmproj-NAME.gguf.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Overwrite existing files.

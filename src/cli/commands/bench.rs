@@ -363,10 +363,14 @@ fn as_gguf(
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-        write_gguf(&decoder, printer, |create, progress| {
+        let (report, _) = write_gguf(&decoder, printer, |create, progress| {
             export_model(&candidate.weights, &place, &loading, &[], create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
+        // The next lines may refuse the file, and a note says why it is none of llama.cpp.
+        for note in &report.notes {
+            printer.note(format!("{}: {note}", candidate.name));
+        }
     }
     let tower = GgufPart::Tower.path(&decoder);
     let written = ModelPlace::Gguf {
@@ -375,8 +379,7 @@ fn as_gguf(
     };
     let Some((decoder, projector)) = written.decoder_and_tower()? else {
         bail!(
-            "cannot compare {}: of its family this program writes no pair of llama.cpp's files; \
-             name a pair that llama.cpp's converter wrote",
+            "cannot compare {}: this program wrote no pair of llama.cpp's files; name a pair that llama.cpp's converter wrote",
             candidate.name
         );
     };

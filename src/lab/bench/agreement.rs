@@ -21,6 +21,62 @@ pub struct Agreement {
     pub same_tokens: usize,
     /// Tokens of all answers.
     pub tokens: usize,
+    /// How near the numbers of a picture's tokens are; none for a model that reads text alone, and
+    /// for an engine without a vision tower.
+    #[serde(default)]
+    pub picture: Option<PictureAgreement>,
+}
+
+/// A picture of ramps, encoded by two engines.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PictureAgreement {
+    /// Its tokens, ours and theirs.
+    pub tokens: [usize; 2],
+    /// Largest difference of two numbers as a share of the largest number, and 1 - cosine of the
+    /// angle between all numbers. None where the engines make another number of tokens.
+    pub apart: Option<[f64; 2]>,
+}
+
+/// The number of a picture's tokens, and the numbers of some of them.
+pub(super) type Encoded = (usize, Vec<f32>);
+
+impl PictureAgreement {
+    /// Compares a picture's tokens, ours and theirs.
+    pub(super) fn between((own, ours): &Encoded, (other, theirs): &Encoded) -> Self {
+        Self {
+            tokens: [*own, *other],
+            apart: (own == other && ours.len() == theirs.len()).then(|| apart(ours, theirs)),
+        }
+    }
+
+    /// The comparison in words.
+    fn in_words(&self) -> String {
+        let [own, other] = self.tokens;
+        match self.apart {
+            None => format!(
+                "a picture becomes {own} tokens here and {other} there, which are not compared"
+            ),
+            Some([largest, cosine]) => format!(
+                "the numbers of a picture's {own} tokens differ by at most {largest:.1e} of the largest, by {cosine:.1e} \
+                 in cosine distance"
+            ),
+        }
+    }
+}
+
+fn apart(ours: &[f32], theirs: &[f32]) -> [f64; 2] {
+    let (mut difference, mut most) = (0_f64, f64::MIN_POSITIVE);
+    let (mut product, mut own_square, mut other_square) = (0_f64, 0_f64, 0_f64);
+    for (own, other) in ours.iter().zip(theirs) {
+        let (own, other) = (f64::from(*own), f64::from(*other));
+        difference = difference.max((own - other).abs());
+        most = most.max(own.abs());
+        product += own * other;
+        own_square += own * own;
+        other_square += other * other;
+    }
+    let lengths = (own_square * other_square).sqrt().max(f64::MIN_POSITIVE);
+    [difference / most, 1.0 - product / lengths]
 }
 
 /// The logits behind a prompt, and the tokens that follow.
@@ -45,6 +101,7 @@ impl Agreement {
             same_first: 0,
             same_tokens: 0,
             tokens: 0,
+            picture: None,
         };
         let (mut squares, mut count) = (0.0, 0_usize);
         for ((ours, our_tokens), (theirs, their_tokens)) in pairs {
@@ -77,9 +134,12 @@ impl Agreement {
 
     /// The comparison in words.
     pub fn in_words(&self) -> String {
+        let picture = self.picture.as_ref();
+        let picture =
+            picture.map_or_else(String::new, |picture| format!("; {}", picture.in_words()));
         format!(
             "{}: {}: logits differ by at most {:.1e}, rms {:.1e}; the likeliest token is the same behind {} of {} prompts, \
-             {} of {} tokens are the same up to the first other one",
+             {} of {} tokens are the same up to the first other one{picture}",
             self.model,
             self.engine,
             self.largest,
@@ -111,7 +171,18 @@ mod tests {
             (found.same_first, found.same_tokens, found.tokens),
             (2, 5, 6)
         );
+        assert!(!found.in_words().contains("picture"));
         let wide = (vec![0.0; 3], vec![1]);
         assert!(Agreement::between("m", EngineName::Candle, &[(ours, wide)]).is_err());
+    }
+
+    #[test]
+    fn a_picture_is_compared_where_it_becomes_as_many_tokens() {
+        let near = PictureAgreement::between(&(2, vec![3.0, 4.0]), &(2, vec![3.0, 3.6]));
+        let [largest, cosine] = near.apart.unwrap();
+        assert!((largest - 0.1).abs() < 1e-6 && (cosine - 0.001_3).abs() < 1e-4);
+        let other = PictureAgreement::between(&(2, vec![3.0, 4.0]), &(3, vec![3.0, 4.0]));
+        assert_eq!(other.apart, None);
+        assert!(other.in_words().contains("2 tokens here and 3 there"));
     }
 }

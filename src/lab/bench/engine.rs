@@ -115,6 +115,18 @@ impl Engine {
         }
     }
 
+    /// The tokens of a picture of ramps, and the numbers of at most `most` of them.
+    pub(crate) fn features(
+        &mut self,
+        side: u32,
+        most: usize,
+    ) -> Result<(usize, Vec<f32>), EngineError> {
+        match self.ask(&Request::Features { side, most })? {
+            Reply::Encoded { tokens, values } => Ok((tokens, values)),
+            _ => Err(self.invalid("another reply than features")),
+        }
+    }
+
     /// What the processor can do at most, measured in the process.
     pub(crate) fn limits(&mut self) -> Result<Limits, EngineError> {
         match self.ask(&Request::Limits)? {

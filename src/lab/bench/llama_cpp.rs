@@ -26,6 +26,7 @@ impl LlamaCpp {
 mod tests {
     use super::*;
     use crate::bench::budget::Layout;
+    use crate::bench::protocol::Request;
     use planagent_mllm::Step;
 
     #[test]
@@ -45,6 +46,18 @@ mod tests {
         };
         for word in steps.iter().map(word) {
             assert!(WORKER.contains(&format!("name == \"{word}\"")), "{word}");
+        }
+        for request in [
+            Request::Run(Vec::new()),
+            Request::Answer {
+                prompt: Vec::new(),
+                count: 0,
+            },
+            Request::Features { side: 0, most: 0 },
+        ] {
+            let request = serde_json::to_value(request).unwrap();
+            let word = request.as_object().unwrap().keys().next().unwrap();
+            assert!(WORKER.contains(&format!("\"{word}\" in request")), "{word}");
         }
         let layout = serde_json::to_string(&Layout::PrefixFirst).unwrap();
         assert!(

@@ -86,12 +86,14 @@ class Model:
         self.sampler = llama_cpp.llama_sampler_init_greedy()
         self.words = random.Random(request["seed"])
         self.vocabulary = llama_cpp.llama_vocab_n_tokens(llama_cpp.llama_model_get_vocab(self.model))
-        self.length = 0
+        # Tokens in the cache, and the position of the next one. Tokens of an image may share one.
+        self.tokens = self.length = 0
+        self.shared = []
         self.pending = []
         self.side = self.image_tokens = 0
         self.vision, self.features = None, []
         if files["projector"]:
-            self.load_vision(files["projector"], request["threads"], request["like"]["image_side"])
+            self.load_vision(files["projector"], request["threads"], request["like"])
         self.load_s = (now_ms() - start) / 1e3
 
     def quieten(self):
@@ -109,7 +111,7 @@ class Model:
         self.vision_api.mtmd_log_set(log, nothing)
         self.vision_api.mtmd_helper_log_set(log, nothing)
 
-    def load_vision(self, projector, threads, side):
+    def load_vision(self, projector, threads, like):
         api = self.vision_api
         settings = api.mtmd_context_params_default()
         settings.use_gpu = False
@@ -118,15 +120,17 @@ class Model:
         self.vision = api.mtmd_init_from_file(projector.encode(), self.model, settings)
         if not self.vision:
             raise Problem(f"{projector} cannot be loaded")
-        self.side = side
-        pixels = self.words.randbytes(3 * side * side)
-        self.bitmap = api.mtmd_bitmap_init(side, side, (ctypes.c_uint8 * len(pixels)).from_buffer_copy(pixels))
+        self.side, self.wanted_tokens = like["image_side"], like["image_tokens"]
+        self.bitmap = self.bitmap_of(self.words.randbytes(3 * self.side * self.side), self.side)
         self.chunks = None
-        self.features = []
         self.preprocess()
         self.image_tokens = sum(api.mtmd_input_chunk_get_n_tokens(chunk) for chunk in self.image_chunks())
         if self.image_tokens == 0:
             raise Problem(f"{projector} makes no tokens of an image")
+
+    def bitmap_of(self, pixels, side):
+        buffer = (ctypes.c_uint8 * len(pixels)).from_buffer_copy(pixels)
+        return self.vision_api.mtmd_bitmap_init(side, side, buffer)
 
     def describe(self):
         name = ctypes.create_string_buffer(128)
@@ -136,6 +140,7 @@ class Model:
             "weight_format": name.value.decode(errors="replace"),
             "image_side": self.side,
             "image_tokens": self.image_tokens,
+            "vocabulary": self.vocabulary,
             "context": self.api.llama_n_ctx(self.context),
             "layout": "prefix_first",
             "load_s": self.load_s,
@@ -157,7 +162,20 @@ class Model:
     def image_chunks(self):
         api = self.vision_api
         chunks = (api.mtmd_input_chunks_get(self.chunks, i) for i in range(api.mtmd_input_chunks_size(self.chunks)))
-        return [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
+        views = [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
+        return self.last_views(views)
+
+    def last_views(self, views):
+        """The last views with as many tokens as the other engine makes of the image, else all.
+
+        llama.cpp cuts a picture of SmolVLM even where it is one view: into a tile, and the whole picture behind it.
+        """
+        tokens = 0
+        for first in range(len(views) - 1, -1, -1):
+            tokens += self.vision_api.mtmd_input_chunk_get_n_tokens(views[first])
+            if tokens == self.wanted_tokens:
+                return views[first:]
+        return views
 
     def encode(self):
         if not self.vision:
@@ -196,8 +214,16 @@ class Model:
             if outcome != 0:
                 raise Problem("the image's tokens cannot be decoded")
             self.api.llama_synchronize(self.context)
-            step.add_pass(api.mtmd_input_chunk_get_n_tokens(chunk), now_ms() - start)
+            tokens = api.mtmd_input_chunk_get_n_tokens(chunk)
+            step.add_pass(tokens, now_ms() - start)
+            self.tokens += tokens
+            missing = self.missing() + tokens - (length.value - self.length)
+            self.shared.append((self.tokens, missing))
             self.length = length.value
+
+    def missing(self):
+        """By how much the position of the next token is below the number of tokens."""
+        return self.shared[-1][1] if self.shared else 0
 
     def append(self, tokens):
         self.pending.extend(self.words.randrange(self.vocabulary) for _ in range(tokens))
@@ -213,6 +239,7 @@ class Model:
             self.api.llama_synchronize(self.context)
             step.add_pass(len(part), now_ms() - start)
             self.length += len(part)
+            self.tokens += len(part)
         self.pending = []
 
     def sample(self, tokens, step):
@@ -229,9 +256,48 @@ class Model:
 
     def keep(self, tokens):
         self.pending = []
-        if not self.api.llama_memory_seq_rm(self.memory, 0, tokens, -1):
+        self.shared = [image for image in self.shared if image[0] <= tokens]
+        length = tokens - self.missing()
+        if not self.api.llama_memory_seq_rm(self.memory, 0, length, -1):
             raise Problem(f"the cache cannot go back to {tokens} tokens")
-        self.length = min(self.length, tokens)
+        self.tokens = min(self.tokens, tokens)
+        self.length = min(self.length, length)
+
+    def answer(self, prompt, count):
+        """The logits behind a prompt that is computed alone, and the likeliest tokens that follow it."""
+        self.keep(0)
+        self.pending = list(prompt)
+        step, logits, tokens = StepTime(), [], []
+        for _ in range(count):
+            self.compute(step)
+            if not logits:
+                logits = self.api.llama_get_logits_ith(self.context, -1)[: self.vocabulary]
+            tokens.append(self.api.llama_sampler_sample(self.sampler, self.context, -1))
+            self.pending = tokens[-1:]
+        self.keep(0)
+        return {"logits": logits, "tokens": tokens}
+
+    def encode_ramps(self, side, most):
+        """The numbers of the tokens of a picture with a ramp in each channel, at even distances."""
+        if not self.vision:
+            return {"tokens": 0, "values": []}
+        ramps = (
+            (x * (channel + 1) + y * (3 - channel)) * 255 // (4 * side)
+            for y in range(side)
+            for x in range(side)
+            for channel in range(3)
+        )
+        drawn, self.bitmap = self.bitmap, self.bitmap_of(bytes(ramps), side)
+        self.encode()
+        self.vision_api.mtmd_bitmap_free(self.bitmap)
+        self.bitmap = drawn
+        width = self.api.llama_model_n_embd_inp(self.model)
+        values = [value for _, rows in self.features for value in rows]
+        self.features = []
+        tokens = len(values) // width
+        shown = min(tokens, most)
+        places = (index * tokens // shown * width for index in range(shown))
+        return {"tokens": tokens, "values": [value for place in places for value in values[place : place + width]]}
 
     def run(self, step):
         name, count = next(iter(step.items())) if isinstance(step, dict) else (step, 0)
@@ -265,6 +331,10 @@ def main():
                 reply = {"loaded": model.describe()}
             elif "run" in request and model:
                 reply = {"ran": [model.run(step) for step in request["run"]]}
+            elif "answer" in request and model:
+                reply = {"answered": model.answer(**request["answer"])}
+            elif "features" in request and model:
+                reply = {"encoded": model.encode_ramps(**request["features"])}
             else:
                 reply = {"failed": "this cannot be asked of llama.cpp, or not before a model is loaded"}
         except Problem as problem:

@@ -17,7 +17,7 @@ mod run;
 mod serve;
 mod workload;
 
-pub use agreement::Agreement;
+pub use agreement::{Agreement, PictureAgreement};
 pub(crate) use budget::DRAFTED;
 #[cfg(test)]
 pub(crate) use budget::Layout;

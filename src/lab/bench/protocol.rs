@@ -16,6 +16,12 @@ pub enum Request {
         prompt: Vec<u32>,
         count: usize,
     },
+    /// Encodes a picture of ramps, of this side in pixels, and gives the numbers of at most so many
+    /// of its tokens ([`LatencyProbe::features`](planagent_mllm::LatencyProbe::features)).
+    Features {
+        side: u32,
+        most: usize,
+    },
     /// Measures what the processor can do at most; for this program alone.
     Limits,
 }
@@ -44,6 +50,9 @@ pub struct Like {
     pub context: usize,
     /// Side of the square image, pixels.
     pub image_side: u32,
+    /// Tokens of the image. An engine that makes more shows the last views that make so many, if
+    /// there are such.
+    pub image_tokens: usize,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,6 +86,11 @@ pub enum Reply {
         logits: Vec<f32>,
         tokens: Vec<u32>,
     },
+    /// The number of the picture's tokens, and the numbers of those that were asked for.
+    Encoded {
+        tokens: usize,
+        values: Vec<f32>,
+    },
     Limits(Limits),
     Failed(String),
 }
@@ -93,6 +107,9 @@ pub struct Loaded {
     /// Number of token ids; 0 where the engine does not say.
     #[serde(default)]
     pub vocabulary: usize,
+    /// The token that stands for one of the image; none where the engine does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_token: Option<u32>,
     /// Maximum tokens of a sequence, image included.
     pub context: usize,
     pub layout: Layout,

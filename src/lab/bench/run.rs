@@ -1,6 +1,6 @@
 //! The benchmark loop: one model after the other, engines in alternation.
 
-use super::agreement::Agreement;
+use super::agreement::{Agreement, PictureAgreement};
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
@@ -70,6 +70,8 @@ impl Other {
 const CANDLE: &str = "--candle";
 /// Lengths of the prompts that two engines answer, tokens.
 const PROMPTS: [usize; 4] = [1, 16, 64, 200];
+/// Tokens of a picture that are compared, at most.
+const PICTURE: usize = 64;
 /// Tokens of an answer that are compared.
 const ANSWER: usize = 16;
 
@@ -175,18 +177,23 @@ impl Bench<'_> {
         match &self.settings.versus {
             None => engines.push(self.load(self.own()?, None)?),
             Some(other) => {
+                workloads.splice(0..0, DEPTHS.map(Workload::Depth));
                 let ours = self.load(self.own()?, None)?;
                 let theirs = other.start(self.program)?;
                 let Loaded {
                     context,
                     image_side,
+                    image_tokens,
                     ..
                 } = ours.loaded;
+                let longest = workloads.iter().map(|load| load.longest(image_tokens));
                 let mut theirs = self.load(
                     theirs,
                     Some(Like {
-                        context,
+                        // llama.cpp takes the memory of the whole context at once.
+                        context: context.min(longest.max().unwrap_or(context)),
                         image_side,
+                        image_tokens,
                     }),
                 )?;
                 // llama.cpp reports these for the decoder only; the files are the same.
@@ -196,13 +203,12 @@ impl Bench<'_> {
                     theirs.loaded.weight_format = format;
                 }
                 engines.extend([ours, theirs]);
-                workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
         }
         let own = engines.first_mut().expect("the own engine comes first");
         let mut limits = vec![own.engine.limits()?];
         let mut rows = Vec::new();
-        if self.settings.versus == Some(Other::Candle) {
+        if self.settings.versus.is_some() {
             rows.push(Row::Agreement(self.agreement(&mut engines)?));
         }
         for workload in &workloads {
@@ -253,7 +259,8 @@ impl Bench<'_> {
         Ok(rows)
     }
 
-    /// Compares the answers of two engines to prompts of random tokens.
+    /// Compares the answers of two engines to prompts of random tokens, and what they make of a
+    /// picture.
     fn agreement(&self, engines: &mut [Ready]) -> Result<Agreement, EngineError> {
         let [ours, theirs] = engines else {
             let problem = "there is no other engine".to_owned();
@@ -270,15 +277,24 @@ impl Bench<'_> {
             if length + ANSWER > context {
                 continue;
             }
-            let prompt: Vec<u32> = (0..length)
-                .map(|_| words.random_range(0..vocabulary))
-                .collect();
+            // Neither engine reads the image's token without an image.
+            let drawn = std::iter::repeat_with(|| words.random_range(0..vocabulary));
+            let image = ours.loaded.image_token;
+            let text = drawn.filter(|word| Some(*word) != image || vocabulary == 1);
+            let prompt: Vec<u32> = text.take(length).collect();
             let own = ours.engine.answer(prompt.clone(), ANSWER)?;
             pairs.push((own, theirs.engine.answer(prompt, ANSWER)?));
         }
         let engine = theirs.engine.name();
-        Agreement::between(&self.candidate.name, engine, &pairs)
-            .map_err(|problem| EngineError::Failed { engine, problem })
+        let mut found = Agreement::between(&self.candidate.name, engine, &pairs)
+            .map_err(|problem| EngineError::Failed { engine, problem })?;
+        let side = ours.loaded.image_side;
+        if side > 0 && theirs.loaded.image_tokens > 0 {
+            let own = ours.engine.features(side, PICTURE)?;
+            let other = theirs.engine.features(side, PICTURE)?;
+            found.picture = Some(PictureAgreement::between(&own, &other));
+        }
+        Ok(found)
     }
 
     fn own(&self) -> Result<Engine, EngineError> {

@@ -21,6 +21,10 @@ trait Probe: Sized {
 
     fn answer(&mut self, prompt: &[u32], count: usize)
     -> Result<(Vec<f32>, Vec<u32>), Self::Error>;
+
+    /// The tokens of a picture of ramps, and the numbers of at most `most` of them; none of an
+    /// engine without a vision tower.
+    fn features(&self, side: u32, most: usize) -> Result<(usize, Vec<f32>), Self::Error>;
 }
 
 impl Probe for LatencyProbe {
@@ -36,6 +40,10 @@ impl Probe for LatencyProbe {
 
     fn answer(&mut self, prompt: &[u32], count: usize) -> Result<(Vec<f32>, Vec<u32>), MllmError> {
         self.answer(prompt, count)
+    }
+
+    fn features(&self, side: u32, most: usize) -> Result<(usize, Vec<f32>), MllmError> {
+        self.features(side, most)
     }
 }
 
@@ -59,6 +67,10 @@ impl Probe for CandleProbe {
         count: usize,
     ) -> Result<(Vec<f32>, Vec<u32>), CandleError> {
         self.answer(prompt, count)
+    }
+
+    fn features(&self, _side: u32, _most: usize) -> Result<(usize, Vec<f32>), CandleError> {
+        Ok((0, Vec::new()))
     }
 }
 
@@ -125,8 +137,12 @@ fn answer<P: Probe>(
             let (logits, tokens) = probe.answer(&prompt, count)?;
             Reply::Answered { logits, tokens }
         }
+        (Request::Features { side, most }, Some(probe)) => {
+            let (tokens, values) = probe.features(side, most)?;
+            Reply::Encoded { tokens, values }
+        }
         (Request::Limits, _) => Reply::Limits(Limits::measure()),
-        (Request::Run(_) | Request::Answer { .. }, None) => {
+        (Request::Run(_) | Request::Answer { .. } | Request::Features { .. }, None) => {
             Reply::Failed("no model is loaded".into())
         }
     })
@@ -173,6 +189,7 @@ fn load(
         image_side: info.image_size.map_or(0, |side| side as u32),
         image_tokens,
         vocabulary: info.vocabulary,
+        image_token: Some(info.image_token),
         context: model.context(image_tokens),
         layout: if info.image_first {
             Layout::ImageFirst

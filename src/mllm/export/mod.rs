@@ -5,6 +5,7 @@
 //! its tensors. The metadata holds the small files of the model, so that opening the export gives a
 //! bit-identical model.
 
+mod plan;
 pub(crate) mod tokenizer_metadata;
 mod writer;
 
@@ -15,6 +16,8 @@ mod left_out_tests;
 #[cfg(test)]
 mod odd_files_tests;
 #[cfg(test)]
+mod pair_tests;
+#[cfg(test)]
 mod rope_scaling_tests;
 #[cfg(test)]
 pub(crate) mod round_trip_tests;
@@ -22,16 +25,14 @@ pub(crate) mod round_trip_tests;
 mod stored_format_tests;
 
 use super::MllmError;
-use super::checkpoint::{
-    LoadReport, ModelFiles, Weights, is_kernel, is_matrix, may_add_one, paired,
-};
+use super::checkpoint::{LoadReport, ModelFiles};
 use super::gguf::names::ROTARY;
-use super::gguf::{Entries, FILE, TILED_HEADS, TOWER, WHOLE_MODEL, llama, tower_path};
+use super::gguf::{Description, Entries, FILE, TILED_HEADS, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
 use super::source::{Checkpoint, ModelPlace};
-use super::text::special_tokens;
+use super::text::{special_tokens, template_source};
+use plan::{Heads, Part, Share, tower_names};
 use planagent_kernels::attention::frequency_factors;
-use planagent_kernels::matrix::WeightFormat;
 use serde_json::json;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -100,52 +101,15 @@ pub fn export_model(
         let mut out = create(part.kind).map_err(failed)?;
         part.layout.write_header(&mut out).map_err(failed)?;
         // A tensor at a time, so that a model is exported in less memory than it has weights.
-        for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
-            let data = data(&mut checkpoint.weights, canonical, tensor, part.norm_offset)?;
-            let data = match part
-                .heads
-                .as_ref()
-                .and_then(|heads| heads.for_tensor(&tensor.name))
-            {
-                Some(heads) => paired(&data, tensor.shape.first().copied().unwrap_or(1), heads),
-                None => data,
-            };
-            Layout::write_data(&mut out, &data).map_err(failed)?;
+        part.write_data(&mut checkpoint.weights, &mut |tensor, data| {
+            Layout::write_data(&mut out, data).map_err(failed)?;
             written += tensor.bytes();
             progress(written, total);
-        }
+            Ok(())
+        })?;
         out.flush().map_err(failed)?;
     }
     Ok(checkpoint.weights.report().clone())
-}
-
-/// One file with the canonical names of its tensors.
-struct Part {
-    kind: GgufPart,
-    layout: Layout,
-    canonical: Vec<String>,
-    /// Whether rows of queries and keys are written in pairs.
-    heads: Option<Heads>,
-    /// What is added to the weights of norms.
-    norm_offset: f32,
-}
-
-/// Heads of queries and of keys.
-#[derive(Clone, Copy)]
-struct Heads {
-    queries: usize,
-    keys: usize,
-}
-
-impl Heads {
-    /// The heads of a tensor, by llama.cpp's name, if it makes queries or keys.
-    fn for_tensor(self, name: &str) -> Option<usize> {
-        match llama::projection(name)? {
-            "attn_q" => Some(self.queries),
-            "attn_k" => Some(self.keys),
-            _ => None,
-        }
-    }
 }
 
 fn parts(
@@ -172,36 +136,37 @@ fn parts(
     };
     let text = (family.decoder_config)(files)?;
     let described = match family.gguf {
-        Ok(layout) => layout.metadata(files)?.map(|metadata| (layout, metadata)),
+        Ok(layout) => layout
+            .metadata(files)?
+            .map(|description| (layout, description)),
         Err(lacking) => Err(lacking),
     };
-    let (layout, (architecture, decoder, tower)) = match described {
+    let (layout, description) = match described {
         Ok(described) => described,
         Err(lacking) => {
             checkpoint.weights.note(format!(
-                "llama.cpp's format has no place for {lacking}: the file is for this program alone"
+                "no pair for llama.cpp is written ({lacking}): the file is for this program alone"
             ));
-            let mut file = Layout {
-                metadata: [general(WHOLE_MODEL), packed].concat(),
-                tensors: Vec::new(),
-            };
+            let mut metadata = [general(WHOLE_MODEL), packed].concat();
             if checkpoint.weights.heads_are_tiled() {
-                file.metadata.push((TILED_HEADS.to_owned(), json!(true)));
+                metadata.push((TILED_HEADS.to_owned(), json!(true)));
             }
-            let canonical = plan_tensors(&checkpoint.weights, &mut file, |name| {
-                Some(name.to_string())
+            let mut part = Part::new(GgufPart::Model, metadata);
+            part.plan(&checkpoint.weights, |name, _| {
+                vec![(name.to_owned(), Share::Whole)]
             });
             // A file for this program holds norms as a folder does.
-            let has_one = checkpoint.weights.norms_have_one();
-            return Ok(vec![Part {
-                kind: GgufPart::Model,
-                layout: file,
-                canonical,
-                heads: None,
-                norm_offset: if has_one { -1.0 } else { 0.0 },
-            }]);
+            if checkpoint.weights.norms_have_one() {
+                part.norm_offset = -1.0;
+            }
+            return Ok(vec![part]);
         }
     };
+    let Description {
+        architecture,
+        decoder,
+        tower,
+    } = description;
     let factors = frequency_factors(&text.rope, text.rotated);
     if let Some(factors) = factors.filter(|_| !checkpoint.weights.contains(ROTARY.1)) {
         checkpoint.weights.add_numbers(ROTARY.1, &factors)?;
@@ -214,115 +179,42 @@ fn parts(
             .weights
             .note("llama.cpp has no tokenizer of this kind: it will not open the decoder".into()),
     }
+    if let Some(template) = template_source(files)? {
+        metadata.push(("tokenizer.chat_template".to_owned(), json!(template)));
+    }
     metadata.extend(packed);
-    let mut model = Layout {
-        metadata,
-        tensors: Vec::new(),
-    };
     let is_tower = |name: &str| {
         name.starts_with("v.") || name.starts_with("mm.") || name.starts_with("model.")
     };
-    let wanted = |tower: bool| {
-        move |name: &str| {
-            layout
-                .gguf_name(name)
-                .filter(|name| is_tower(name) == tower)
-        }
+    // What llama.cpp adds to norms, if the checkpoint has them without it.
+    let norm_offset = if layout.norms_have_one() && !checkpoint.weights.norms_have_one() {
+        1.0
+    } else {
+        0.0
     };
-    let canonical = plan_tensors(&checkpoint.weights, &mut model, wanted(false));
-    let heads = (architecture == llama::ARCHITECTURE).then_some(Heads {
+    let mut model = Part::new(GgufPart::Model, metadata);
+    model.norm_offset = norm_offset;
+    model.heads = (architecture == llama::ARCHITECTURE).then_some(Heads {
         queries: text.heads,
         keys: text.kv_heads,
     });
-    let model = Part {
-        kind: GgufPart::Model,
-        layout: model,
-        canonical,
-        heads,
-        norm_offset: if layout.norms_have_one() && !checkpoint.weights.norms_have_one() {
-            1.0
-        } else {
-            0.0
-        },
-    };
+    model.plan(&checkpoint.weights, |name, _| {
+        let name = layout.gguf_name(name).filter(|name| !is_tower(name));
+        name.map(|name| (name, Share::Whole)).into_iter().collect()
+    });
     let mut parts = vec![model];
     if let Some(tower) = tower {
-        let mut layout = Layout {
-            metadata: [general(TOWER), tower].concat(),
-            tensors: Vec::new(),
-        };
-        let canonical = plan_tensors(&checkpoint.weights, &mut layout, wanted(true));
-        parts.push(Part {
-            kind: GgufPart::Tower,
-            layout,
-            canonical,
-            heads: None,
-            norm_offset: 0.0,
+        let metadata = [general(TOWER), tower.metadata.clone()].concat();
+        let mut part = Part::new(GgufPart::Tower, metadata);
+        part.norm_offset = norm_offset;
+        part.plan(&checkpoint.weights, |name, shape| {
+            let mut names = tower_names(layout, &tower, name, shape);
+            names.retain(|(name, _)| is_tower(name));
+            names
         });
+        parts.push(part);
     }
     Ok(parts)
-}
-
-/// Adds the tensors that `rename` gives a name; returns their canonical names.
-fn plan_tensors(
-    weights: &Weights,
-    layout: &mut Layout,
-    rename: impl Fn(&str) -> Option<String>,
-) -> Vec<String> {
-    let mut canonical = Vec::new();
-    for (name, shape) in weights.shapes() {
-        if let Some(renamed) = rename(name) {
-            let format = weights
-                .weight_format_of(name)
-                .unwrap_or(WeightFormat::F32)
-                .stored();
-            let mut shape = shape.to_vec();
-            if is_kernel(name) && name != renamed {
-                shape.retain(|side| *side != 1);
-            }
-            if shape.is_empty() {
-                // The format has no numbers without a side.
-                shape.push(1);
-            }
-            layout.tensors.push(PlannedTensor {
-                name: renamed,
-                format,
-                shape,
-            });
-            canonical.push(name.to_string());
-        }
-    }
-    canonical
-}
-
-/// The bytes of a tensor in the file.
-fn data(
-    weights: &mut Weights,
-    canonical: &str,
-    tensor: &PlannedTensor,
-    norm_offset: f32,
-) -> Result<Vec<u8>, MllmError> {
-    let mut bytes = Vec::with_capacity(tensor.bytes() as usize);
-    match tensor.shape.as_slice() {
-        &[outputs, inputs] if is_matrix(canonical, &tensor.shape) => {
-            let matrix = weights.take_matrix(canonical, [outputs, inputs])?;
-            // Writing to memory cannot fail.
-            let _ = matrix.write_blocks(&mut bytes);
-        }
-        shape => {
-            let mut values: Vec<f32> = weights
-                .take_of_any_rank(canonical, shape)?
-                .flatten_all()?
-                .to_vec1()?;
-            if norm_offset != 0.0 && may_add_one(canonical) {
-                for value in &mut values {
-                    *value += norm_offset;
-                }
-            }
-            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-        }
-    }
-    Ok(bytes)
 }
 
 fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, MllmError> {

@@ -1,9 +1,16 @@
 //! Gemma 3 with vision in llama.cpp's GGUF files.
 
+use super::config::Gemma3Config;
+use super::processor;
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{EMBEDDING, FINAL_NORM, GEMMA_LAYERS, Names, OUTPUT, VISION_LAYERS};
-use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma, no_tower};
+use crate::gguf::{
+    Described, Description, GgufLayout, Header, TextFiles, TowerDescription, decoder, gemma,
+    no_tower, tower_with_activation,
+};
+use crate::vision::PixelScale;
+use planagent_kernels::Activation;
 use serde_json::json;
 use std::collections::BTreeMap;
 
@@ -107,7 +114,25 @@ impl GgufLayout for Gemma3Gguf {
         true
     }
 
-    fn metadata(&self, _files: &ModelFiles) -> Result<Described, MllmError> {
-        Ok(Err("how images are shown"))
+    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
+        let config = Gemma3Config::open(files)?;
+        Ok(described(&config, processor(files)?.scale()))
     }
+}
+
+fn described(config: &Gemma3Config, scale: &PixelScale) -> Described {
+    let (architecture, decoder) = decoder::describe(&config.text)?;
+    let mut tower = tower_with_activation(
+        Activation::GeluTanh,
+        PROJECTOR,
+        &config.vision,
+        config.text.hidden,
+        scale.mean_and_deviation(),
+    )?;
+    tower.push((SCALE.to_owned(), json!(config.pool)));
+    Ok(Description {
+        architecture,
+        decoder,
+        tower: Some(TowerDescription::plain(tower)),
+    })
 }

@@ -4,7 +4,7 @@ use crate::MllmError;
 use crate::gguf::names::{
     EMBEDDING, FINAL_NORM, GEMMA4_LAYERS, GEMMA4_SINGLE, Names, OUTPUT, Pair, ROTARY,
 };
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, PairLayout, VisionFiles, Written, as_stored};
 use serde_json::json;
 
 const POSITIONS: &str = "v.position_embd.weight";
@@ -57,7 +57,7 @@ const TOWER_PARTS: [Pair; 13] = [
 ];
 
 /// The files of a Gemma 4.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+pub(super) static LAYOUT: PairLayout = PairLayout {
     decoders: &["gemma4"],
     projector: "gemma4v",
     model_type: "gemma4",
@@ -66,7 +66,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     renamed: as_stored,
     vision,
     changed: Changed::Nothing,
-    lacking: "how many tokens an image becomes",
+    written: Written::Not("how many tokens an image becomes"),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {

@@ -6,6 +6,7 @@
 //! ([`GgufLayout`]), so that it reads the same JSON whatever the weights lie in.
 
 pub(crate) mod byte_level;
+pub(crate) mod decoder;
 pub(crate) mod gemma;
 pub(crate) mod gemma3n;
 pub(crate) mod gemma4;
@@ -14,9 +15,9 @@ pub(crate) mod lfm2;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;
+mod pair;
 mod parts;
 pub(crate) mod qwen35;
-mod read_only;
 mod text_files;
 pub(crate) mod tokenizer;
 pub(crate) mod unread_keys;
@@ -27,8 +28,10 @@ pub(crate) mod tokenizer_tests;
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
+pub(crate) use pair::{
+    Changed, PairLayout, VisionFiles, Written, as_stored, tower_metadata, tower_with_activation,
+};
 pub(crate) use parts::{named_parts, open_model};
-pub(crate) use read_only::{Changed, ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;
 
 use super::MllmError;
@@ -87,12 +90,50 @@ pub trait GgufLayout: Sync {
     }
 
     /// The metadata for a model with these files, or the part that the format has no key for.
-    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError>;
+    fn metadata(&self, files: &ModelFiles) -> Result<Result<Description, &'static str>, MllmError>;
 }
 
-/// The value of `general.architecture` and the other metadata of a decoder, and the metadata of its
-/// tower; or the part that the format has no key for.
-pub(crate) type Described = Result<(&'static str, Entries, Option<Entries>), &'static str>;
+/// What files of llama.cpp say of a model; or the part that the format has no key for.
+pub(crate) type Described = Result<Description, &'static str>;
+
+/// What files of llama.cpp say of a model.
+pub struct Description {
+    /// The decoder's `general.architecture`.
+    pub architecture: &'static str,
+    /// Its other metadata.
+    pub decoder: Entries,
+    /// The vision tower, for a model that has one.
+    pub tower: Option<TowerDescription>,
+}
+
+/// What a file of llama.cpp says of a vision tower, and how it holds the tensors.
+pub struct TowerDescription {
+    pub metadata: Entries,
+    /// Whether the projections to queries, keys and values are one tensor or three, whatever a
+    /// checkpoint has; none where they are written as it has them.
+    pub fused: Option<bool>,
+    /// The tower's layer by which a merger of an early layer is counted, at its own number.
+    pub deep_layers: Vec<usize>,
+}
+
+impl TowerDescription {
+    /// A tower whose file has the tensors as its checkpoint.
+    pub(crate) fn plain(metadata: Entries) -> Self {
+        Self {
+            metadata,
+            fused: None,
+            deep_layers: Vec::new(),
+        }
+    }
+
+    /// A tower whose file has projections to queries, keys and values apart.
+    pub(crate) fn apart(metadata: Entries) -> Self {
+        Self {
+            fused: Some(false),
+            ..Self::plain(metadata)
+        }
+    }
+}
 
 pub(crate) fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError> {
     let file = WeightFile::open(path)?;

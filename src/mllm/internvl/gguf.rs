@@ -1,11 +1,17 @@
 //! `InternVL` in llama.cpp's GGUF files, which its converter makes from the authors' layout.
 
-use super::config::IMAGE;
+use super::config::{IMAGE, InternVlConfig};
+use super::tiles::TileProcessor;
 use crate::MllmError;
+use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
 };
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{
+    Changed, Described, Description, Header, PairLayout, TowerDescription, VisionFiles, Written,
+    as_stored, decoder, tower_with_activation,
+};
+use planagent_kernels::Activation;
 use serde_json::json;
 
 const NAMES: Names = Names {
@@ -49,6 +55,12 @@ const NAMES: Names = Names {
     layers: &[DECODER_LAYERS, VISION_LAYERS],
 };
 
+/// Architectures of the decoders.
+const DECODERS: [&str; 3] = ["qwen2", "qwen3", "llama"];
+/// Kind of the projector.
+const PROJECTOR: &str = "internvl";
+/// Key of the side of the blocks of patches that become a token.
+const SCALE: &str = "clip.vision.projector.scale_factor";
 /// Keys of the least and most tiles, with the published models' numbers.
 const TILES: [(&str, &str, usize); 2] = [
     ("clip.vision.preproc_min_tiles", "min_patches", 1),
@@ -56,16 +68,16 @@ const TILES: [(&str, &str, usize); 2] = [
 ];
 
 /// The files of an `InternVL`.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
-    decoders: &["qwen2", "qwen3", "llama"],
-    projector: "internvl",
+pub(super) static LAYOUT: PairLayout = PairLayout {
+    decoders: &DECODERS,
+    projector: PROJECTOR,
     model_type: "internvl",
     placeholder: IMAGE,
     names: NAMES,
     renamed: as_stored,
     vision,
     changed: Changed::Nothing,
-    lacking: "the filter that images are resized with",
+    written: Written::With(metadata),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
@@ -85,9 +97,43 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
         }
         processor[name] = json!(count.unwrap_or(published));
     }
-    let scale = tower.required_count("clip.vision.projector.scale_factor")?;
+    let scale = tower.required_count(SCALE)?;
     Ok(VisionFiles {
         config: json!({"downsample_ratio": 1.0 / scale as f64, "vision_config": vision}),
         processor,
+    })
+}
+
+/// The metadata of a model with these files.
+fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
+    let config = InternVlConfig::open(files)?;
+    let tiler = TileProcessor::open(files, config.vision.image_size as u32)?;
+    Ok(described(&config, &tiler))
+}
+
+fn described(config: &InternVlConfig, tiler: &TileProcessor) -> Described {
+    let (architecture, decoder) = decoder::describe(&config.text)?;
+    if !DECODERS.contains(&architecture) {
+        return Err("another decoder than that of Qwen or Llama");
+    }
+    let tiles = [tiler.min, tiler.max];
+    if tiles != [1, 1] && !tiler.whole {
+        return Err("tiles without the whole image behind them");
+    }
+    let mut tower = tower_with_activation(
+        Activation::Gelu,
+        PROJECTOR,
+        &config.vision,
+        config.text.hidden,
+        tiler.scale.mean_and_deviation(),
+    )?;
+    tower.push((SCALE.to_owned(), json!(config.scale)));
+    for ((key, _, _), count) in TILES.into_iter().zip(tiles) {
+        tower.push((key.to_owned(), json!(count)));
+    }
+    Ok(Description {
+        architecture,
+        decoder,
+        tower: Some(TowerDescription::apart(tower)),
     })
 }

@@ -18,12 +18,12 @@ const MAX_TILES: u32 = 64;
 pub(crate) struct TileProcessor {
     /// Side of a tile, pixels.
     tile: u32,
-    min: u32,
-    max: u32,
+    pub(super) min: u32,
+    pub(super) max: u32,
     /// Whether the whole image follows its tiles.
-    whole: bool,
+    pub(super) whole: bool,
     filter: Filter,
-    scale: PixelScale,
+    pub(super) scale: PixelScale,
 }
 
 /// The keys of both layouts: of the `-hf` image processor, and of the authors' `config.json`.

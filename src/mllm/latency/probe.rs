@@ -126,6 +126,30 @@ impl LatencyProbe {
         Ok(time)
     }
 
+    /// The numbers of an image's tokens, those for early layers of the decoder behind the others,
+    /// of at most `most` tokens at even distances, and the number of all tokens. The image is a
+    /// square of `side` pixels with a ramp in each channel: no filter changes it much.
+    pub fn features(&self, side: u32, most: usize) -> Result<(usize, Vec<f32>), MllmError> {
+        let ramp = |x: u32, y: u32, channel: u32| {
+            let steps =
+                u64::from(x) * u64::from(channel + 1) + u64::from(y) * u64::from(3 - channel);
+            (steps * 255 / (4 * u64::from(side.max(1)))) as u8
+        };
+        let image = RgbImage::from_fn(side, side, |x, y| {
+            image::Rgb([0, 1, 2].map(|c| ramp(x, y, c)))
+        });
+        let features = self.model.encode_image(&image)?;
+        let tokens = features.rows.dim(0)?;
+        let shown = tokens.min(most);
+        let mut numbers = Vec::new();
+        for row in (0..shown).map(|index| index * tokens / shown) {
+            for part in std::iter::once(&features.rows).chain(&features.deep) {
+                numbers.extend(part.get(row)?.to_vec1::<f32>()?);
+            }
+        }
+        Ok((tokens, numbers))
+    }
+
     /// The logits behind a prompt, computed alone, and the likeliest tokens that follow it. The
     /// sequence is empty afterwards.
     pub fn answer(

@@ -2,7 +2,7 @@
 
 use crate::MllmError;
 use crate::gguf::names::{EMBEDDING, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, VISION_LAYERS};
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::gguf::{Changed, Header, PairLayout, VisionFiles, Written, as_stored};
 use serde_json::json;
 
 const NORM: &str = "mm.input_norm.weight";
@@ -41,7 +41,7 @@ const NAMES: Names = Names {
 };
 
 /// The files of an LFM2-VL.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+pub(super) static LAYOUT: PairLayout = PairLayout {
     decoders: &["lfm2"],
     projector: "lfm2",
     model_type: "lfm2_vl",
@@ -50,7 +50,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     renamed: as_stored,
     vision,
     changed: Changed::Nothing,
-    lacking: "how images are cut into tiles",
+    written: Written::Not("how images are cut into tiles"),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {

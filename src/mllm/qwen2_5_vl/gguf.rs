@@ -1,9 +1,12 @@
 //! Qwen2.5-VL in llama.cpp's GGUF files.
 
+use super::config::Qwen25VlConfig;
 use crate::MllmError;
+use crate::checkpoint::{ModelFiles, VisionConfig};
 use crate::gguf::names::{DECODER_LAYERS, Names};
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
-use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
+use crate::gguf::{Changed, Described, Header, PairLayout, VisionFiles, Written, as_stored};
+use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, limits};
+use planagent_kernels::Activation;
 use serde_json::json;
 
 const NAMES: Names = Names {
@@ -28,6 +31,11 @@ const NAMES: Names = Names {
     ],
 };
 
+/// Architecture of the decoder, and kind of the projector.
+const DECODER: &str = "qwen2vl";
+const PROJECTOR: &str = "qwen2.5vl_merger";
+/// Side of an image that the files name and no code uses, pixels, as in llama.cpp's.
+const IMAGE_SIZE: usize = 560;
 /// Least and most pixels of the published processor.
 const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// Side of the blocks of patches that become a token, and of a window in pixels; the files do not
@@ -40,16 +48,16 @@ const EPSILON: f64 = 1e-6;
 const WHOLE_EVERY: &str = "clip.vision.n_wa_pattern";
 
 /// The files of a Qwen2.5-VL.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
-    decoders: &["qwen2vl"],
-    projector: "qwen2.5vl_merger",
+pub(super) static LAYOUT: PairLayout = PairLayout {
+    decoders: &[DECODER],
+    projector: PROJECTOR,
     model_type: "qwen2_5_vl",
     placeholder: IMAGE,
     names: NAMES,
     renamed: as_stored,
     vision,
     changed: Changed::Nothing,
-    lacking: LACKING,
+    written: Written::With(metadata),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
@@ -78,4 +86,49 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
         config,
         processor: limits(tower, PIXELS, merge, notes)?,
     })
+}
+
+/// The metadata of a model with these files.
+fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
+    let config = Qwen25VlConfig::open(files)?;
+    let patch = config.vision.patch_size as u32;
+    let processor = PatchProcessor::open(files, patch, config.merge as u32)?;
+    Ok(described(&config, &processor))
+}
+
+fn described(config: &Qwen25VlConfig, processor: &PatchProcessor) -> Described {
+    if (config.vision.layer_norm_eps / EPSILON - 1.0).abs() > 1e-6 {
+        return Err("another epsilon of the tower's norms");
+    }
+    let vision = VisionConfig {
+        image_size: IMAGE_SIZE,
+        ..config.vision.clone()
+    };
+    let model = PatchTower {
+        vision: &vision,
+        text: &config.text,
+        merge: config.merge,
+        frames: config.frames,
+        processor,
+    };
+    let every =
+        whole_every(config).ok_or("layers that attend to the whole image at uneven distances")?;
+    if config.window != WINDOW / config.vision.patch_size / config.merge * config.merge {
+        return Err("windows of another size than 112 pixels");
+    }
+    let mut described = model.describe(DECODER, PROJECTOR, Activation::Silu)?;
+    if let Some(tower) = &mut described.tower {
+        tower.metadata.push((WHOLE_EVERY.to_owned(), json!(every)));
+    }
+    Ok(described)
+}
+
+/// The distance of layers that attend to the whole image, the first of which ends a period.
+fn whole_every(config: &Qwen25VlConfig) -> Option<usize> {
+    let every = config.whole.first()? + 1;
+    let is_whole = |layer: &usize| (layer + 1).is_multiple_of(every);
+    (0..config.vision.layers)
+        .filter(is_whole)
+        .eq(config.whole.iter().copied())
+        .then_some(every)
 }

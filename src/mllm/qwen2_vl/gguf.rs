@@ -1,10 +1,13 @@
 //! Qwen2-VL in llama.cpp's GGUF files. Its decoders have the architecture of Qwen2.5-VL's; the
 //! projector tells the families apart.
 
+use super::config::Qwen2VlConfig;
 use crate::MllmError;
+use crate::checkpoint::{ModelFiles, VisionConfig};
 use crate::gguf::names::{DECODER_LAYERS, Names, VISION_LAYERS};
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, as_stored};
-use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
+use crate::gguf::{Changed, Described, Header, PairLayout, VisionFiles, Written, as_stored};
+use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, limits};
+use planagent_kernels::Activation;
 use serde_json::json;
 
 const NAMES: Names = Names {
@@ -12,6 +15,11 @@ const NAMES: Names = Names {
     layers: &[DECODER_LAYERS, VISION_LAYERS],
 };
 
+/// Architecture of the decoder, and kind of the projector.
+const DECODER: &str = "qwen2vl";
+const PROJECTOR: &str = "qwen2vl_merger";
+/// Side of an image that the files name and no code uses, pixels, as in llama.cpp's.
+const IMAGE_SIZE: usize = 560;
 /// Least and most pixels of the published processor.
 const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// Side of the blocks of patches that become a token; the files do not say it.
@@ -24,16 +32,16 @@ const UP: &str = "v.blk.0.ffn_up.weight";
 const OUT: &str = "mm.2.weight";
 
 /// The files of a Qwen2-VL.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
-    decoders: &["qwen2vl"],
-    projector: "qwen2vl_merger",
+pub(super) static LAYOUT: PairLayout = PairLayout {
+    decoders: &[DECODER],
+    projector: PROJECTOR,
     model_type: "qwen2_vl",
     placeholder: IMAGE,
     names: NAMES,
     renamed: as_stored,
     vision,
     changed: Changed::Nothing,
-    lacking: LACKING,
+    written: Written::With(metadata),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
@@ -78,4 +86,30 @@ fn shape(tower: &Header, name: &str) -> Result<[usize; 2], MllmError> {
             folder: tower.path.clone(),
             name: name.into(),
         })
+}
+
+/// The metadata of a model with these files.
+fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
+    let config = Qwen2VlConfig::open(files)?;
+    let patch = config.vision.patch_size as u32;
+    let processor = PatchProcessor::open(files, patch, config.merge as u32)?;
+    Ok(described(&config, &processor))
+}
+
+fn described(config: &Qwen2VlConfig, processor: &PatchProcessor) -> Described {
+    if (config.vision.layer_norm_eps / EPSILON - 1.0).abs() > 1e-6 {
+        return Err("another epsilon of the tower's norms");
+    }
+    let vision = VisionConfig {
+        image_size: IMAGE_SIZE,
+        ..config.vision.clone()
+    };
+    let model = PatchTower {
+        vision: &vision,
+        text: &config.text,
+        merge: config.merge,
+        frames: config.frames,
+        processor,
+    };
+    model.describe(DECODER, PROJECTOR, Activation::QuickGelu)
 }

@@ -2,13 +2,13 @@
 
 use crate::MllmError;
 use crate::gguf::names::{Names, QWEN35_LAYERS, VISION_LAYERS};
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles, qwen35};
-use crate::qwen3_vl::{self, IMAGE, LACKING, QWEN_NAMES};
+use crate::gguf::{Changed, Header, PairLayout, VisionFiles, Written, qwen35};
+use crate::qwen3_vl::{self, IMAGE, QWEN_NAMES};
 
 const DEEP: &str = "clip.vision.is_deepstack_layers";
 
 /// The files of a Qwen3.5.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+pub(super) static LAYOUT: PairLayout = PairLayout {
     decoders: &[qwen35::ARCHITECTURE],
     projector: "qwen3vl_merger",
     model_type: "qwen3_5",
@@ -20,7 +20,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
     renamed: qwen35::renamed,
     vision,
     changed: Changed::NormsAndHeads,
-    lacking: LACKING,
+    written: Written::Not("layers with a delta rule"),
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {

@@ -1,11 +1,17 @@
 //! Qwen3-VL in llama.cpp's GGUF files.
 
+use super::config::Qwen3VlConfig;
 use super::patches::PatchProcessor;
 use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, ModelFiles, VisionConfig};
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS,
 };
-use crate::gguf::{Changed, Header, ReadOnlyLayout, VisionFiles};
+use crate::gguf::{
+    Changed, Described, Description, Header, PairLayout, TowerDescription, VisionFiles, Written,
+    decoder, tower_with_activation,
+};
+use planagent_kernels::Activation;
 use serde_json::{Value, json};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
@@ -57,11 +63,19 @@ const NAMES: Names = Names {
     ],
 };
 
-/// What the files of a tower for any size have no key for.
-pub(crate) const LACKING: &str = "the limits of an image's pixels";
 /// Key of the side of the blocks of patches that become a token, and llama.cpp's default.
 const MERGE_KEY: &str = "clip.vision.spatial_merge_size";
 const MERGE: usize = 2;
+/// Frames that a patch of llama.cpp's files holds.
+const FRAMES: usize = 2;
+/// Keys of the least and most pixels of an image.
+const LIMITS: [&str; 2] = [
+    "clip.vision.image_min_pixels",
+    "clip.vision.image_max_pixels",
+];
+/// Architecture of the decoder, and kind of the projector.
+const DECODER: &str = "qwen3vl";
+const PROJECTOR: &str = "qwen3vl_merger";
 /// The placeholder of an image.
 pub(crate) const IMAGE: &str = "<|image_pad|>";
 /// Least and most pixels of the published processor.
@@ -90,10 +104,8 @@ pub(crate) fn limits(
     merge: usize,
     notes: &mut Vec<String>,
 ) -> Result<Value, MllmError> {
-    let named = [
-        tower.whole("clip.vision.image_min_pixels")?,
-        tower.whole("clip.vision.image_max_pixels")?,
-    ];
+    let [least_key, most_key] = LIMITS;
+    let named = [tower.whole(least_key)?, tower.whole(most_key)?];
     let [(least, own_least), (most, own_most)] = [(pixels[0], named[0]), (pixels[1], named[1])];
     let [least, most] = [own_least.unwrap_or(least), own_most.unwrap_or(most)];
     if named.contains(&None) {
@@ -111,16 +123,16 @@ pub(crate) fn limits(
 }
 
 /// The files of a Qwen3-VL.
-pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
-    decoders: &["qwen3vl"],
-    projector: "qwen3vl_merger",
+pub(super) static LAYOUT: PairLayout = PairLayout {
+    decoders: &[DECODER],
+    projector: PROJECTOR,
     model_type: "qwen3_vl",
     placeholder: IMAGE,
     names: NAMES,
     renamed,
     vision,
     changed: Changed::Nothing,
-    lacking: LACKING,
+    written: Written::With(metadata),
 };
 
 /// The small files of a tower.
@@ -166,4 +178,82 @@ fn renamed(file: &Header, name: &str) -> Result<Option<String>, MllmError> {
     };
     let index = deep_layers(file)?.iter().position(|deep| *deep == layer);
     Ok(index.map(|index| format!("{DEEP}{index}.{part}")))
+}
+
+/// A model of Qwen whose tower takes an image of any size.
+pub(crate) struct PatchTower<'a> {
+    /// The tower; its image size is the one that the file names.
+    pub vision: &'a VisionConfig,
+    pub text: &'a LlamaConfig,
+    /// Side of the blocks of patches that become one token.
+    pub merge: usize,
+    /// Frames that a patch holds.
+    pub frames: usize,
+    pub processor: &'a PatchProcessor,
+}
+
+impl PatchTower<'_> {
+    /// The metadata of a model with a decoder of this architecture, and a tower with this kind of
+    /// projector and activation.
+    pub(crate) fn describe(
+        &self,
+        architecture: &'static str,
+        projector: &str,
+        act: Activation,
+    ) -> Described {
+        let (found, decoder) = decoder::describe(self.text)?;
+        if found != architecture {
+            return Err("this decoder with this tower");
+        }
+        if self.frames != FRAMES {
+            return Err("patches of another number of frames than two");
+        }
+        let scale = self.processor.scale().mean_and_deviation();
+        let mut tower =
+            tower_with_activation(act, projector, self.vision, self.text.hidden, scale)?;
+        tower.push((MERGE_KEY.to_owned(), json!(self.merge)));
+        for (key, pixels) in LIMITS.into_iter().zip(self.processor.pixels()) {
+            tower.push((key.to_owned(), json!(pixels)));
+        }
+        Ok(Description {
+            architecture,
+            decoder,
+            tower: Some(TowerDescription::apart(tower)),
+        })
+    }
+}
+
+/// The metadata of a model with these files.
+fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
+    let config = Qwen3VlConfig::open(files)?;
+    let patch = config.vision.patch_size;
+    let processor = PatchProcessor::open(files, patch as u32, config.merge as u32)?;
+    let vision = VisionConfig {
+        // The learned positions, by which the file counts them.
+        image_size: config.positions * patch,
+        ..config.vision.clone()
+    };
+    let model = PatchTower {
+        vision: &vision,
+        text: &config.text,
+        merge: config.merge,
+        frames: config.frames,
+        processor: &processor,
+    };
+    let described = model.describe(DECODER, PROJECTOR, Activation::GeluTanh);
+    Ok(described.map(|described| with_deep_layers(described, &config)))
+}
+
+/// Adds the layers whose outputs go to the decoder. This tower's projections are one tensor.
+fn with_deep_layers(mut described: Description, config: &Qwen3VlConfig) -> Description {
+    let count = format!("{DECODER}.n_deepstack_layers");
+    described.decoder.push((count, json!(config.deep.len())));
+    if let Some(tower) = &mut described.tower {
+        let flags = (0..config.vision.layers).map(|layer| config.deep.contains(&layer));
+        let flags = flags.collect::<Vec<_>>();
+        tower.metadata.push((DEEP_LAYERS.to_owned(), json!(flags)));
+        tower.fused = Some(true);
+        tower.deep_layers.clone_from(&config.deep);
+    }
+    described
 }

@@ -126,6 +126,16 @@ impl PatchProcessor {
         })
     }
 
+    /// Least and most pixels of an image.
+    pub(crate) fn pixels(&self) -> [u64; 2] {
+        self.pixels.map(|pixels| pixels as u64)
+    }
+
+    /// How pixel values are made.
+    pub(crate) fn scale(&self) -> &PixelScale {
+        &self.scale
+    }
+
     /// Side of a token, pixels.
     pub(crate) fn token_side(&self) -> usize {
         self.token as usize

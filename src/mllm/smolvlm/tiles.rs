@@ -16,12 +16,12 @@ const MAX_SIDE: u32 = 4096;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TileProcessor {
     /// Longest side before the image is cut, pixels.
-    longest: u32,
+    pub(super) longest: u32,
     /// Side of a tile, pixels.
     tile: u32,
-    splitting: bool,
+    pub(super) splitting: bool,
     filter: Filter,
-    scale: PixelScale,
+    pub(super) scale: PixelScale,
 }
 
 /// How an image is cut. Sizes are width and height, pixels.

@@ -9,7 +9,7 @@ mod token_bytes;
 mod tokenizer;
 
 pub(crate) use grammar::{GrammarEngine, GrammarState};
-pub(crate) use template::ChatTemplate;
+pub(crate) use template::{ChatTemplate, template_source};
 pub use template_engine::TemplateEngine;
 pub use tokenizer::ChatTokenizer;
 pub(crate) use tokenizer::special_tokens;

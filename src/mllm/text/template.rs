@@ -294,6 +294,15 @@ fn web_page_of(source: &str) -> Option<String> {
         .flatten()
 }
 
+/// The source of a model's chat template; none where it has none.
+pub(crate) fn template_source(files: &ModelFiles) -> Result<Option<String>, MllmError> {
+    match find_source(files) {
+        Ok((_, source)) => Ok(Some(source)),
+        Err(MllmError::MissingFile { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
 /// Replaces `{% generation %}`, which marks the model's text for training, by a block without
 /// effect.
 fn without_generation_tags(source: &str) -> String {

@@ -7,8 +7,8 @@ use crate::gguf::names::{
     GEMMA4_LAYERS, GEMMA4_SINGLE, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
 };
 use crate::gguf::{
-    Changed, Described, GgufLayout, Header, TextFiles, as_stored, gemma, gemma3n, gemma4, lfm2,
-    llama, qwen35,
+    Changed, Described, Description, GgufLayout, Header, TextFiles, as_stored, decoder, gemma,
+    gemma3n, gemma4, lfm2, qwen35,
 };
 use std::collections::BTreeMap;
 
@@ -64,7 +64,7 @@ pub(super) struct TextGguf {
     /// Architectures of its decoders.
     architectures: &'static [&'static str],
     names: Names,
-    /// As in a [`ReadOnlyLayout`](crate::gguf::ReadOnlyLayout).
+    /// As in a [`PairLayout`](crate::gguf::PairLayout).
     renamed: fn(file: &Header, name: &str) -> Result<Option<String>, MllmError>,
     changed: Changed,
 }
@@ -174,40 +174,13 @@ impl GgufLayout for TextGguf {
 }
 
 fn described(config: &LlamaConfig) -> Described {
-    if config.streams.is_some() {
-        return Err("streams of hidden states one by one");
-    }
-    if config.layer_scales {
-        return Err("layers of different shapes");
-    }
-    if config.gemma.is_some() {
-        if config.attention_bias {
-            return Err("biases of these projections");
-        }
-        let mut metadata = llama::metadata(gemma::ARCHITECTURE, config)?;
-        metadata.extend(gemma::metadata(config)?);
-        return Ok((gemma::ARCHITECTURE, metadata, None));
-    }
-    if config.delta.is_some() {
-        // Its value heads would have to be written in another order.
-        return Err("layers with a delta rule");
-    }
-    if config.convolution.is_some() {
-        return Ok((lfm2::ARCHITECTURE, lfm2::metadata(config)?, None));
-    }
-    let architecture = architecture(config)?;
-    Ok((architecture, llama::metadata(architecture, config)?, None))
-}
-
-/// The architecture of a decoder in llama.cpp, or the part that none of them has a place for.
-fn architecture(config: &LlamaConfig) -> Result<&'static str, &'static str> {
     if config.rope.sections.is_some() {
         return Err("positions on three axes without a vision tower");
     }
-    match (config.head_norms, config.attention_bias, config.output_bias) {
-        (true, false, false) => Ok("qwen3"),
-        (false, true, false) => Ok("qwen2"),
-        (false, false, false) => Ok("llama"),
-        _ => Err("biases of these projections"),
-    }
+    let (architecture, decoder) = decoder::describe(config)?;
+    Ok(Description {
+        architecture,
+        decoder,
+        tower: None,
+    })
 }

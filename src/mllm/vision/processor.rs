@@ -98,6 +98,11 @@ impl ClipImageProcessor {
         })
     }
 
+    /// How pixel values are made.
+    pub(crate) fn scale(&self) -> &PixelScale {
+        &self.scale
+    }
+
     /// Checks that the configured size is the square input of the vision tower, where one is
     /// configured.
     pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {

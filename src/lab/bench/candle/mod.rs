@@ -87,6 +87,7 @@ impl CandleProbe {
             image_side: 0,
             image_tokens: 0,
             vocabulary: opened.vocabulary,
+            image_token: None,
             // No longer than the engine that it is compared with: both run the same workloads.
             context: request
                 .like

@@ -327,6 +327,7 @@ mod tests {
             image_side: 672,
             image_tokens: 2880,
             vocabulary: 32_000,
+            image_token: None,
             context: 4096,
             layout: Layout::PrefixFirst,
             load_s: 120.5,

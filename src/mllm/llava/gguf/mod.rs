@@ -9,7 +9,10 @@ use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped,
 };
-use crate::gguf::{Described, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, no_tower, tokenizer};
+use crate::gguf::{
+    Described, Description, GgufLayout, Header, TEMPLATE, TOKENIZER, TowerDescription, llama,
+    no_tower, tokenizer,
+};
 use crate::vision::{PixelScale, read_processor};
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -120,9 +123,6 @@ impl GgufLayout for LlavaGguf {
     fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
         let (config, pinpoints) = (self.config)(files)?;
         let scale = read_processor(files, |_, object| PixelScale::read(object))?;
-        let Some(scale) = scale.mean_and_deviation() else {
-            return Ok(Err("pixels that are not normalized"));
-        };
         if config.text.head_norms {
             return Ok(Err("norms of queries and keys in a llama decoder"));
         }
@@ -130,7 +130,11 @@ impl GgufLayout for LlavaGguf {
             Ok(decoder) => decoder,
             Err(lacking) => return Ok(Err(lacking)),
         };
-        let tower = tower::metadata(&config, pinpoints, scale);
-        Ok(tower.map(|tower| (llama::ARCHITECTURE, decoder, Some(tower))))
+        let tower = tower::metadata(&config, pinpoints, &scale);
+        Ok(tower.map(|tower| Description {
+            architecture: llama::ARCHITECTURE,
+            decoder,
+            tower: Some(TowerDescription::plain(tower)),
+        }))
     }
 }

@@ -3,8 +3,9 @@
 
 use crate::MllmError;
 use crate::checkpoint::TowerType;
-use crate::gguf::{Entries, Header};
+use crate::gguf::{Entries, Header, tower_metadata};
 use crate::llava::LlavaConfig;
+use crate::vision::PixelScale;
 use planagent_kernels::Activation;
 use serde_json::{Value, json};
 
@@ -151,61 +152,43 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Val
     Ok(preprocessor)
 }
 
-/// The metadata that [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the
-/// pixel values.
+/// The metadata that [`config`] and [`preprocessor`] read.
 ///
 /// # Errors
 /// The part that llama.cpp has no key for.
 pub(super) fn metadata(
     config: &LlavaConfig,
     pinpoints: Option<Vec<[u32; 2]>>,
-    scale: [[f32; 3]; 2],
+    scale: &PixelScale,
 ) -> Result<Entries, &'static str> {
     // The keys below describe a CLIP tower; llama.cpp would read other weights as one.
     if config.tower == TowerType::Siglip {
         return Err("a SigLIP tower in a LLaVA");
     }
     let vision = &config.vision;
-    let [mean, deviation] = scale;
-    let mut metadata = vec![
-        ("clip.has_vision_encoder", json!(true)),
-        ("clip.has_text_encoder", json!(false)),
-        ("clip.has_llava_projector", json!(true)),
-        ("clip.projector_type", json!("mlp")),
-        ("clip.vision.embedding_length", json!(vision.hidden)),
-        (
-            "clip.vision.feed_forward_length",
-            json!(vision.intermediate),
-        ),
-        ("clip.vision.block_count", json!(vision.layers)),
-        ("clip.vision.attention.head_count", json!(vision.heads)),
-        ("clip.vision.image_size", json!(vision.image_size)),
-        ("clip.vision.patch_size", json!(vision.patch_size)),
-        ("clip.vision.projection_dim", json!(config.text.hidden)),
-        (
-            "clip.vision.attention.layer_norm_epsilon",
-            json!(vision.layer_norm_eps),
-        ),
-        ("clip.vision.image_mean", json!(mean)),
-        ("clip.vision.image_std", json!(deviation)),
-        (FEATURE_LAYER, json!(config.feature_layers)),
-    ];
+    let mut metadata = tower_metadata(
+        "mlp",
+        vision,
+        config.text.hidden,
+        scale.mean_and_deviation(),
+    )?;
+    let mut put = |key: &str, value: Value| metadata.push((key.to_owned(), value));
+    put("clip.has_text_encoder", json!(false));
+    put("clip.has_llava_projector", json!(true));
+    put(FEATURE_LAYER, json!(config.feature_layers));
     match vision.act {
-        Activation::QuickGelu => metadata.push((GELU, json!(false))),
-        Activation::Gelu => metadata.push((GELU, json!(true))),
-        Activation::Silu => metadata.push((SILU, json!(true))),
+        Activation::QuickGelu => put(GELU, json!(false)),
+        Activation::Gelu => put(GELU, json!(true)),
+        Activation::Silu => put(SILU, json!(true)),
         Activation::GeluTanh | Activation::Relu => {
             return Err("the activation of the vision tower");
         }
     }
     if let Some(pinpoints) = pinpoints {
-        metadata.push((PINPOINTS, json!(pinpoints.concat())));
-        metadata.push(("clip.vision.mm_patch_merge_type", json!("spatial_unpad")));
+        put(PINPOINTS, json!(pinpoints.concat()));
+        put("clip.vision.mm_patch_merge_type", json!("spatial_unpad"));
     }
-    Ok(metadata
-        .into_iter()
-        .map(|(key, value)| (key.to_string(), value))
-        .collect())
+    Ok(metadata)
 }
 
 #[cfg(test)]

@@ -1,15 +1,16 @@
-//! Families whose files of llama.cpp are read but not written: a table of names, and how the
-//! tower's metadata becomes the small files.
+//! Families with a table of names: how the tower's metadata becomes the small files, and these the
+//! metadata.
 
 use super::names::Names;
-use super::{Described, GgufLayout, Header, TextFiles, no_tower};
+use super::{Described, Entries, GgufLayout, Header, TextFiles, no_tower};
 use crate::MllmError;
-use crate::checkpoint::ModelFiles;
+use crate::checkpoint::{ModelFiles, VisionConfig};
+use planagent_kernels::Activation;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// How llama.cpp's files hold a family that this program writes into a file of its own.
-pub(crate) struct ReadOnlyLayout {
+/// How llama.cpp's files hold a family: a decoder, and a tower beside it.
+pub(crate) struct PairLayout {
     /// Architectures of its decoders.
     pub decoders: &'static [&'static str],
     /// Kind of its tower's projector.
@@ -25,8 +26,16 @@ pub(crate) struct ReadOnlyLayout {
     pub vision: fn(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError>,
     /// What llama.cpp's converter changes in the decoder's numbers.
     pub changed: Changed,
-    /// What a model may set and llama.cpp has no key for.
-    pub lacking: &'static str,
+    pub written: Written,
+}
+
+/// Whether this program writes a pair of files of a family.
+#[derive(Clone, Copy)]
+pub(crate) enum Written {
+    /// It does not, because of this part.
+    Not(&'static str),
+    /// With this metadata.
+    With(fn(&ModelFiles) -> Result<Described, MllmError>),
 }
 
 /// What llama.cpp's converter changes in a decoder's numbers.
@@ -63,7 +72,7 @@ pub(crate) fn as_stored(_file: &Header, name: &str) -> Result<Option<String>, Ml
     Ok(Some(name.to_string()))
 }
 
-impl GgufLayout for ReadOnlyLayout {
+impl GgufLayout for PairLayout {
     fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
         let projector = tower.and_then(|tower| tower.projector().ok().flatten());
         decoder
@@ -111,7 +120,72 @@ impl GgufLayout for ReadOnlyLayout {
         self.changed.heads()
     }
 
-    fn metadata(&self, _files: &ModelFiles) -> Result<Described, MllmError> {
-        Ok(Err(self.lacking))
+    fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
+        match self.written {
+            Written::Not(lacking) => Ok(Err(lacking)),
+            Written::With(describe) => describe(files),
+        }
     }
+}
+
+/// Mean and deviation of a tower's pixel values; none where they are not normalized.
+type NormalizedBy = [[f32; 3]; 2];
+
+/// The metadata that all towers have, with `projector` as the kind of the projector to a decoder of
+/// `width` numbers.
+///
+/// # Errors
+/// The part that llama.cpp has no key for.
+pub(crate) fn tower_metadata(
+    projector: &str,
+    vision: &VisionConfig,
+    width: usize,
+    scale: Option<NormalizedBy>,
+) -> Result<Entries, &'static str> {
+    let Some([mean, deviation]) = scale else {
+        return Err("pixels that are not normalized");
+    };
+    let entries = [
+        ("has_vision_encoder", json!(true)),
+        ("projector_type", json!(projector)),
+        ("vision.projection_dim", json!(width)),
+        ("vision.image_size", json!(vision.image_size)),
+        ("vision.patch_size", json!(vision.patch_size)),
+        ("vision.embedding_length", json!(vision.hidden)),
+        ("vision.feed_forward_length", json!(vision.intermediate)),
+        ("vision.block_count", json!(vision.layers)),
+        ("vision.attention.head_count", json!(vision.heads)),
+        (
+            "vision.attention.layer_norm_epsilon",
+            json!(vision.layer_norm_eps),
+        ),
+        ("vision.image_mean", json!(mean)),
+        ("vision.image_std", json!(deviation)),
+    ];
+    Ok(entries
+        .map(|(key, value)| (format!("clip.{key}"), value))
+        .into())
+}
+
+/// As [`tower_metadata`], for a family whose towers have the activation `expected`.
+pub(crate) fn tower_with_activation(
+    expected: Activation,
+    projector: &str,
+    vision: &VisionConfig,
+    width: usize,
+    scale: Option<NormalizedBy>,
+) -> Result<Entries, &'static str> {
+    if vision.act != expected {
+        return Err("another activation of the vision tower");
+    }
+    let mut metadata = tower_metadata(projector, vision, width, scale)?;
+    // llama.cpp has one word for both forms of GELU, and takes CLIP's without a word.
+    match expected {
+        Activation::Gelu | Activation::GeluTanh => {
+            metadata.push(("clip.use_gelu".to_owned(), json!(true)));
+        }
+        Activation::Silu => metadata.push(("clip.use_silu".to_owned(), json!(true))),
+        Activation::QuickGelu | Activation::Relu => {}
+    }
+    Ok(metadata)
 }
