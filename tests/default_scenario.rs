@@ -14,6 +14,9 @@ use tempfile::TempDir;
 
 /// Seeds of the runs and of the random weights.
 const SEEDS: [u64; 3] = [0, 1, 2];
+/// Draws of random weights for each seed. One draw in thirty drives this scene well by chance, so
+/// their median counts (docs/decisions/127-default-scene.md).
+const DRAWS: u64 = 5;
 /// How much better the model is, in points of 100.
 const MARGIN: f64 = 2.0;
 /// Planning calls that the default takes at most, so that it takes at most 5 s.
@@ -94,11 +97,16 @@ fn the_model_that_ships_is_first_by_two_points_for_three_seeds() {
         let (mut scores, calls) = simulated(&own, seed, &planners);
         assert!(calls <= MAX_CALLS, "{calls} planning calls");
         let nano = scores.remove("plan-agent").unwrap();
-        let model = work.path().join(format!("random-{seed}"));
-        with_random_weights(&model, seed);
-        let out = work.path().join(format!("other-{seed}"));
-        let (random, _) = simulated(&out, seed, &["--model", model.to_str().unwrap()]);
-        scores.insert("random weights".to_owned(), random["plan-agent"]);
+        let draws = (seed * DRAWS..(seed + 1) * DRAWS).map(|draw| {
+            let model = work.path().join(format!("random-{draw}"));
+            with_random_weights(&model, draw);
+            let out = work.path().join(format!("other-{draw}"));
+            simulated(&out, seed, &["--model", model.to_str().unwrap()]).0["plan-agent"]
+        });
+        let mut draws: Vec<f64> = draws.collect();
+        draws.sort_by(f64::total_cmp);
+        println!("random weights: {draws:.1?}");
+        scores.insert("random weights".to_owned(), draws[draws.len() / 2]);
         assert_eq!(scores.len(), 3);
         for (name, score) in scores {
             assert!(

@@ -272,6 +272,7 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
         "planagent.file.chat_template.jinja",
         "someagent.file.chat_template.jinja",
     );
+    replace(&model, "tokenizer.chat_template", "tokenizer.some_template");
     assert!(open(&model).is_ok(), "the tokenizer is in ggml's keys too");
     // What is missing has the name that the file would have for it.
     replace(&model, "output_norm.weight", "output_form.weight");

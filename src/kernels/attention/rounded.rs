@@ -3,7 +3,7 @@
 //!
 //! Queries, keys, values and weights are rounded to integers whose sums of a block fit in i32. A
 //! query has a scale of its own, the keys of a block share one, and the values of a block have one
-//! for each channel.
+//! for each channel (docs/decisions/134-attention-in-sixteen-bits.md).
 
 use super::key_values::BLOCK_POSITIONS;
 use super::projected::Projected;

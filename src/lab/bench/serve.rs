@@ -121,6 +121,7 @@ fn answer<P: Probe>(
     probe: &mut Option<P>,
     request: Request,
 ) -> Result<Reply, P::Error> {
+    // All but loading and the limits need the model of an earlier request.
     Ok(match (request, probe) {
         (Request::Load(request), probe) => {
             let (loaded, opened) = P::open(registry, &request)?;

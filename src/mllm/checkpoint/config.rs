@@ -10,6 +10,12 @@ use std::path::Path;
 /// Largest width, layer count or context of a configuration. No model that fits into a machine
 /// exceeds it.
 pub(super) const MAX_COUNT: u64 = 1 << 22;
+/// Longest context, positions: beyond it a configuration is taken for broken.
+pub(super) const MAX_CONTEXT: usize = 1 << 20;
+/// Widest head. Published ones have up to 512 channels.
+pub(super) const MAX_HEAD: usize = 1 << 12;
+/// Most heads and most layers. Published decoders have up to 128 of each.
+pub(super) const MAX_LAYERS: usize = 1 << 12;
 
 /// Keys where null and absence differ: a null window is no window, and null heads of keys are as
 /// many as those of queries; an absent key takes the default of its class.

@@ -1,7 +1,9 @@
 //! Layers of a decoder that differ in shape.
 
-use super::config::{ConfigObject, MAX_COUNT, MAX_WIDTH, check_ranges, check_width};
-use super::llama_config::{LlamaConfig, MAX_HEAD, MAX_LAYERS};
+use super::config::{
+    ConfigObject, MAX_COUNT, MAX_HEAD, MAX_LAYERS, MAX_WIDTH, check_ranges, check_width,
+};
+use super::llama_config::LlamaConfig;
 use crate::MllmError;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;

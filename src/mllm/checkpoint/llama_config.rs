@@ -1,7 +1,8 @@
 //! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen, Gemma and LFM2.
 
 use super::config::{
-    ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
+    ConfigObject, MAX_CONTEXT, MAX_HEAD, MAX_LAYERS, MAX_WIDTH, check_ranges, check_width, count,
+    optional_count, positive,
 };
 use super::convolution_config::{ConvolutionConfig, feed_forward_width};
 use super::decoder_type::DecoderType;
@@ -109,6 +110,7 @@ pub struct LlamaConfig {
 /// The defaults of `LlamaConfig`. Zero heads and widths are set once the others are known.
 impl Default for LlamaConfig {
     fn default() -> Self {
+        // The numbers are those of the class in transformers.
         Self {
             vocabulary: 32_000,
             hidden: 4096,
@@ -140,13 +142,6 @@ impl Default for LlamaConfig {
         }
     }
 }
-
-/// Longest context, positions: beyond it a configuration is taken for broken.
-pub(super) const MAX_CONTEXT: usize = 1 << 20;
-/// Widest head. Published ones have up to 512 channels.
-pub(super) const MAX_HEAD: usize = 1 << 12;
-/// Most heads and most layers. Published decoders have up to 128 of each.
-pub(super) const MAX_LAYERS: usize = 1 << 12;
 
 impl LlamaConfig {
     /// Makes a layer of one whose inputs no norm precedes. In Gemma 3 these have outliers, so that

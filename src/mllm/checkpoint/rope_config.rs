@@ -1,6 +1,6 @@
 //! The rotary embedding in a decoder's configuration.
 
-use super::config::ConfigObject;
+use super::config::{ConfigObject, MAX_CONTEXT};
 use super::decoder_type::DecoderType;
 use super::neutral::Neutral;
 use crate::MllmError;
@@ -295,5 +295,5 @@ fn lengthened(scaling: RopeScaling, context: usize) -> usize {
         | RopeScaling::Proportional { .. } => 0.0,
     };
     // A cast of a float keeps to the range of the target.
-    context.max((meant as usize).min(super::llama_config::MAX_CONTEXT))
+    context.max((meant as usize).min(MAX_CONTEXT))
 }

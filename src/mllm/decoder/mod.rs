@@ -252,6 +252,7 @@ impl<L: DecoderLayer> Decoder<L> {
         input: &DecoderInput,
         cache: &mut DecoderCache,
     ) -> candle_core::Result<Tensor> {
+        // Angles and inputs of layers are computed once for all layers.
         let mut pass = Pass {
             layer: 0,
             rotary: self.rotary.rows(&input.positions, input.prompt_end)?,

@@ -71,6 +71,7 @@ fn magnitude(rows: &Tensor) -> Result<Tensor> {
 
 /// Rows of this magnitude. Rows of nearly zero become no larger than by the least square below.
 fn with_magnitude(rows: &Tensor, magnitude: &Tensor) -> Result<Tensor> {
+    /// Least mean square, as in transformers' `Gemma3nTextAltUp`.
     const LEAST: f32 = 1e-5;
     let own = rows
         .sqr()?

@@ -224,7 +224,7 @@ fn a_setting_without_a_key_becomes_a_file_for_this_program_and_is_named() {
     }
 }
 
-/// Writes a folder's weights anew, with the tower's projections to queries, keys and values as three
+/// Rewrites a folder's weights, with the tower's projections to queries, keys and values as three
 /// tensors each, as random weights have them.
 fn take_projections_apart(folder: &Path) {
     let path = folder.join("model.safetensors");

@@ -210,7 +210,7 @@ impl Share {
             let length = run.len() / of;
             run.chunks_exact(length.max(1))
                 .nth(at)
-                .unwrap_or_default()
+                .expect("opening checked that the rows divide into these parts")
                 .to_vec()
         };
         match self {
@@ -246,6 +246,7 @@ pub(super) fn tower_names(
         let name = layout.gguf_name(name)?;
         Some((numbered(name, &tower.deep_layers), share))
     };
+    // A file has the projections of attention as one tensor or as three, whatever the model has.
     if tower.fused == Some(false) && canonical.contains(ALL) {
         let parts = [QUERIES, KEYS, VALUES].into_iter().enumerate();
         return parts
@@ -279,6 +280,7 @@ fn is_of_tower(canonical: &str) -> bool {
 /// The sides of the kernel of one frame in a kernel of two, whose axes of channels and frames a file
 /// of four axes has as one.
 fn frame_sides(shape: &[usize]) -> Option<[usize; 4]> {
+    /// Red, green and blue.
     const CHANNELS: usize = 3;
     match *shape {
         [outputs, CHANNELS, 2, height, width] => Some([outputs, CHANNELS, height, width]),

@@ -66,6 +66,7 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
     let mut vision = tower.vision_config()?;
     vision["hidden_act"] = json!("gelu_pytorch_tanh");
     let tile = tower.required_count("clip.vision.image_size")?;
+    // llama.cpp cuts by its own rule; only a file of this program says that images stay whole.
     let is_whole = tower
         .metadata
         .get(LONGEST)
