@@ -187,8 +187,18 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights qwen3-vl-2b --quantize q4_k --calls brief --image-size 448,1024 --iterations 3",
+        "planagent bench --random-weights qwen3-vl-2b --quantize q4_k --calls brief --image-size 448,1024 --iterations 2",
         HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights lfm2.5-vl-1.6b,llava-onevision-0.5b,qwen2-vl-2b,gemma-3-4b,gemma-4-e2b --quantize q4_k --calls brief --iterations 2",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent simulate --split generated-test14-hard --limit 2 --challenge reactive --threads 1 --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
     ),
     (
         "docs/latency.md",

@@ -112,7 +112,7 @@ impl Part {
     pub(super) fn write_data(
         &self,
         weights: &mut Weights,
-        write: &mut dyn FnMut(&PlannedTensor, &[u8]) -> Result<(), MllmError>,
+        write: &mut WriteTensor<'_>,
     ) -> Result<(), MllmError> {
         // A tensor is taken once, and its shares follow one another.
         let mut taken: Option<(&str, Vec<u8>)> = None;
@@ -224,6 +224,9 @@ impl Share {
         }
     }
 }
+
+/// Writes the bytes of a tensor.
+type WriteTensor<'a> = dyn FnMut(&PlannedTensor, &[u8]) -> Result<(), MllmError> + 'a;
 
 /// The projections of a tower's layer, in their names.
 const QUERIES: &str = ".q_proj.";
