@@ -109,8 +109,9 @@ impl<'a> Projected<'a> {
         self.values.len() / self.row
     }
 
-    pub(super) fn are_finite(&self) -> bool {
-        self.values.iter().all(|value| value.is_finite())
+    /// Whether all magnitudes are below a limit; NaN is not.
+    pub(super) fn are_below(&self, limit: f32) -> bool {
+        self.values.iter().all(|value| value.abs() < limit)
     }
 
     /// Whether the rows have keys and values beside their queries.

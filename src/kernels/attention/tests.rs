@@ -405,6 +405,24 @@ fn rounded_attention_passes_on_what_is_not_finite_and_takes_zeros() {
     let zeros = Tensor::zeros((3, shape.row()), DType::F32, &Device::Cpu).unwrap();
     let out = with(&zeros, shape, attend_rounded).unwrap();
     assert_eq!(out.to_vec2::<f32>().unwrap(), vec![vec![0.0; 16]; 3]);
+    let large = (&zeros + 1e30).unwrap();
+    let in_f32 = with(&large, shape, |rows| {
+        mix(
+            rows,
+            &held(&large, shape, Precision::Single),
+            AttentionMask::All { positions: 3 },
+            Instructions::best(),
+        )
+    });
+    let out = with(&large, shape, attend_rounded).unwrap();
+    let out = out.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let bits = |values: &[f32]| {
+        values
+            .iter()
+            .map(|value| value.to_bits())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(bits(&out), bits(&in_f32));
     let broken = (zeros + f64::NAN).unwrap();
     let out = with(&broken, shape, attend_rounded).unwrap();
     assert!(

@@ -44,17 +44,35 @@ const DECODER_PARTS: [Pair; 11] = [
 pub(crate) const GEMMA_LAYERS: (&str, &str, &[Pair]) = (
     "blk.",
     "language_model.layers.",
-    GEMMA4_PARTS.split_at(OF_GEMMA3).0,
+    OF_GEMMA4.split_at(OF_GEMMA3).0,
 );
-
-/// The first parts, which Gemma 3 has too.
-const OF_GEMMA3: usize = 13;
 
 /// The layers of a Gemma 4: those of Gemma 3, and what reads the token once more.
 pub(crate) const GEMMA4_LAYERS: (&str, &str, &[Pair]) =
-    ("blk.", "language_model.layers.", &GEMMA4_PARTS);
+    ("blk.", "language_model.layers.", OF_GEMMA4);
 
-const GEMMA4_PARTS: [Pair; 17] = [
+/// The layers of a Gemma 3n: those of a Gemma 4 but for the factor, and what moves its streams.
+pub(crate) const GEMMA3N_LAYERS: (&str, &str, &[Pair]) = (
+    "blk.",
+    "language_model.layers.",
+    GEMMA_PARTS.split_at(GEMMA_PARTS.len() - 1).0,
+);
+
+/// Parts that Gemma 3n alone has, which come first, and those of Gemma 3 behind them.
+const OF_GEMMA3N: usize = 8;
+const OF_GEMMA3: usize = 13;
+const OF_GEMMA4: &[Pair] = GEMMA_PARTS.split_at(OF_GEMMA3N).1;
+
+/// The parts of all three, in an order in which those of each follow one another.
+const GEMMA_PARTS: [Pair; 25] = [
+    ("altup_router", "altup.modality_router"),
+    ("altup_router_norm", "altup.router_norm"),
+    ("altup_predict_coef", "altup.prediction_coefs"),
+    ("altup_correct_coef", "altup.correction_coefs"),
+    ("altup_correct_scale", "altup.correct_output_scale"),
+    ("laurel_l", "laurel.linear_left"),
+    ("laurel_r", "laurel.linear_right"),
+    ("laurel_post_norm", "laurel.post_laurel_norm"),
     ("attn_norm", "input_layernorm"),
     ("attn_q", "self_attn.q_proj"),
     ("attn_k", "self_attn.k_proj"),
@@ -88,37 +106,6 @@ pub(crate) const GEMMA4_SINGLE: [Pair; 3] = [
         "per_layer_proj_norm.weight",
         "language_model.per_layer_projection_norm.weight",
     ),
-];
-
-/// The layers of a Gemma 3n: those of a Gemma 4 but for the factor, and what moves its streams.
-pub(crate) const GEMMA3N_LAYERS: (&str, &str, &[Pair]) =
-    ("blk.", "language_model.layers.", &GEMMA3N_PARTS);
-
-const GEMMA3N_PARTS: [Pair; 24] = [
-    ("attn_norm", "input_layernorm"),
-    ("attn_q", "self_attn.q_proj"),
-    ("attn_k", "self_attn.k_proj"),
-    ("attn_v", "self_attn.v_proj"),
-    ("attn_q_norm", "self_attn.q_norm"),
-    ("attn_k_norm", "self_attn.k_norm"),
-    ("attn_output", "self_attn.o_proj"),
-    ("post_attention_norm", "post_attention_layernorm"),
-    ("ffn_norm", "pre_feedforward_layernorm"),
-    ("ffn_gate", "mlp.gate_proj"),
-    ("ffn_up", "mlp.up_proj"),
-    ("ffn_down", "mlp.down_proj"),
-    ("post_ffw_norm", "post_feedforward_layernorm"),
-    ("inp_gate", "per_layer_input_gate"),
-    ("proj", "per_layer_projection"),
-    ("post_norm", "post_per_layer_input_norm"),
-    ("altup_router", "altup.modality_router"),
-    ("altup_router_norm", "altup.router_norm"),
-    ("altup_predict_coef", "altup.prediction_coefs"),
-    ("altup_correct_coef", "altup.correction_coefs"),
-    ("altup_correct_scale", "altup.correct_output_scale"),
-    ("laurel_l", "laurel.linear_left"),
-    ("laurel_r", "laurel.linear_right"),
-    ("laurel_post_norm", "laurel.post_laurel_norm"),
 ];
 
 /// The decoder's tensors of a Gemma 3n for its streams: all but the first in one tensor.

@@ -1,16 +1,16 @@
 //! Parity with the references of today's families (`tests/fixtures/make_modern.py`): two images,
 //! and several chats.
 
-use super::test_faults::Deviation;
+use super::test_faults::{Deviation, Fault, Parts};
 use super::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_greedy, assert_logits_within, data,
-    difference, feature_difference, fixture, last_rows,
+    difference, feature_difference, fixture, last_rows, logits_in_pieces,
 };
 use super::{Loading, LocalModel, Sequence};
-use crate::checkpoint::read_json;
+use crate::checkpoint::{ModelFiles, read_json};
 use crate::decoder::{DecoderInput, Logits, Position};
 use crate::family::{
-    Chat, ImageFeatures, ImageSettings, PlacedImage, Positions, VisionLanguageModel,
+    Chat, Family, ImageFeatures, ImageSettings, PlacedImage, Positions, VisionLanguageModel,
 };
 use crate::source::ModelPlace;
 use crate::{MllmError, Turn};
@@ -64,6 +64,29 @@ impl Prompts {
             folder,
             texts,
             reference,
+        }
+    }
+
+    /// Checks that each fault in the parts of a language model changes its logits by far more than the
+    /// tolerance.
+    pub(crate) fn assert_noticed(&self, family: &Family, faults: &[Fault]) {
+        let ids = self.reference.ids("chat_input_ids", 0);
+        let expected = self.reference.tensor("chat_logits");
+        let deviation = |parts: &Parts| {
+            let files = [("config.json".to_owned(), parts.config.to_string())];
+            let files = ModelFiles::packed(Path::new("model"), files.into());
+            let model = (family.open)(&files, &mut parts.weights(family)).unwrap();
+            let logits = logits_in_pieces(&*model, &ids, None, &[]);
+            difference(&last_rows(&logits, expected), expected)
+        };
+        assert!(deviation(&Parts::from_folder(&self.folder)) < LOGIT_TOLERANCE);
+        for (what, fault) in faults {
+            let found = deviation(&Parts::wrong(&self.folder, *fault));
+            println!("  {what:48} {found:>10.1e}");
+            assert!(
+                found > 100.0 * LOGIT_TOLERANCE,
+                "{what} is hardly noticed: {found}"
+            );
         }
     }
 

@@ -2,10 +2,10 @@
 
 use super::config::Qwen25VlConfig;
 use crate::MllmError;
-use crate::checkpoint::{ModelFiles, VisionConfig};
+use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{DECODER_LAYERS, Names};
 use crate::gguf::{Changed, Described, Header, PairLayout, VisionFiles, Written, as_stored};
-use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, limits};
+use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, QWEN2_EPSILON, limits};
 use planagent_kernels::Activation;
 use serde_json::json;
 
@@ -34,16 +34,12 @@ const NAMES: Names = Names {
 /// Architecture of the decoder, and kind of the projector.
 const DECODER: &str = "qwen2vl";
 const PROJECTOR: &str = "qwen2.5vl_merger";
-/// Side of an image that the files name and no code uses, pixels, as in llama.cpp's.
-const IMAGE_SIZE: usize = 560;
 /// Least and most pixels of the published processor.
 const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// Side of the blocks of patches that become a token, and of a window in pixels; the files do not
 /// say them.
 const MERGE: usize = 2;
 const WINDOW: usize = 112;
-/// Epsilon of the tower's norms, which transformers' class has no key for.
-const EPSILON: f64 = 1e-6;
 /// Key of the distance of layers that attend to the whole image.
 const WHOLE_EVERY: &str = "clip.vision.n_wa_pattern";
 
@@ -62,7 +58,7 @@ pub(super) static LAYOUT: PairLayout = PairLayout {
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
     tower.check_activation("silu", notes)?;
-    tower.check_epsilon(EPSILON)?;
+    tower.check_epsilon(QWEN2_EPSILON)?;
     let sizes = tower.vision_config()?;
     let layers = tower.required_count("clip.vision.block_count")?;
     let every = tower.required_count(WHOLE_EVERY)?;
@@ -97,15 +93,8 @@ fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
 }
 
 fn described(config: &Qwen25VlConfig, processor: &PatchProcessor) -> Described {
-    if (config.vision.layer_norm_eps / EPSILON - 1.0).abs() > 1e-6 {
-        return Err("another epsilon of the tower's norms");
-    }
-    let vision = VisionConfig {
-        image_size: IMAGE_SIZE,
-        ..config.vision.clone()
-    };
     let model = PatchTower {
-        vision: &vision,
+        vision: &config.vision,
         text: &config.text,
         merge: config.merge,
         frames: config.frames,
@@ -116,7 +105,7 @@ fn described(config: &Qwen25VlConfig, processor: &PatchProcessor) -> Described {
     if config.window != WINDOW / config.vision.patch_size / config.merge * config.merge {
         return Err("windows of another size than 112 pixels");
     }
-    let mut described = model.describe(DECODER, PROJECTOR, Activation::Silu)?;
+    let mut described = model.describe_qwen2(DECODER, PROJECTOR, Activation::Silu)?;
     if let Some(tower) = &mut described.tower {
         tower.metadata.push((WHOLE_EVERY.to_owned(), json!(every)));
     }

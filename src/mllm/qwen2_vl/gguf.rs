@@ -3,10 +3,10 @@
 
 use super::config::Qwen2VlConfig;
 use crate::MllmError;
-use crate::checkpoint::{ModelFiles, VisionConfig};
+use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{DECODER_LAYERS, Names, VISION_LAYERS};
 use crate::gguf::{Changed, Described, Header, PairLayout, VisionFiles, Written, as_stored};
-use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, limits};
+use crate::qwen3_vl::{IMAGE, PatchProcessor, PatchTower, QWEN_NAMES, QWEN2_EPSILON, limits};
 use planagent_kernels::Activation;
 use serde_json::json;
 
@@ -18,14 +18,10 @@ const NAMES: Names = Names {
 /// Architecture of the decoder, and kind of the projector.
 const DECODER: &str = "qwen2vl";
 const PROJECTOR: &str = "qwen2vl_merger";
-/// Side of an image that the files name and no code uses, pixels, as in llama.cpp's.
-const IMAGE_SIZE: usize = 560;
 /// Least and most pixels of the published processor.
 const PIXELS: [u64; 2] = [3136, 12_845_056];
 /// Side of the blocks of patches that become a token; the files do not say it.
 const MERGE: usize = 2;
-/// Epsilon of the tower's norms, which transformers' class has no key for.
-const EPSILON: f64 = 1e-6;
 /// The first layer of the feed-forward part, in the first layer of the tower.
 const UP: &str = "v.blk.0.ffn_up.weight";
 /// The last layer of the merger.
@@ -46,7 +42,7 @@ pub(super) static LAYOUT: PairLayout = PairLayout {
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
     tower.check_activation("quick_gelu", notes)?;
-    tower.check_epsilon(EPSILON)?;
+    tower.check_epsilon(QWEN2_EPSILON)?;
     let sizes = tower.vision_config()?;
     let hidden = tower.required_count("clip.vision.embedding_length")?;
     let merge = tower
@@ -97,19 +93,12 @@ fn metadata(files: &ModelFiles) -> Result<Described, MllmError> {
 }
 
 fn described(config: &Qwen2VlConfig, processor: &PatchProcessor) -> Described {
-    if (config.vision.layer_norm_eps / EPSILON - 1.0).abs() > 1e-6 {
-        return Err("another epsilon of the tower's norms");
-    }
-    let vision = VisionConfig {
-        image_size: IMAGE_SIZE,
-        ..config.vision.clone()
-    };
     let model = PatchTower {
-        vision: &vision,
+        vision: &config.vision,
         text: &config.text,
         merge: config.merge,
         frames: config.frames,
         processor,
     };
-    model.describe(DECODER, PROJECTOR, Activation::QuickGelu)
+    model.describe_qwen2(DECODER, PROJECTOR, Activation::QuickGelu)
 }

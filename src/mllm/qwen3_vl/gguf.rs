@@ -180,7 +180,14 @@ fn renamed(file: &Header, name: &str) -> Result<Option<String>, MllmError> {
     Ok(index.map(|index| format!("{DEEP}{index}.{part}")))
 }
 
+/// Epsilon of the norms of Qwen2-VL's and Qwen2.5-VL's towers, which transformers' classes have no
+/// key for.
+pub(crate) const QWEN2_EPSILON: f64 = 1e-6;
+/// Side of an image that files of these two name and no code uses, pixels, as in llama.cpp's.
+const QWEN2_IMAGE_SIZE: usize = 560;
+
 /// A model of Qwen whose tower takes an image of any size.
+#[derive(Clone, Copy)]
 pub(crate) struct PatchTower<'a> {
     /// The tower; its image size is the one that the file names.
     pub vision: &'a VisionConfig,
@@ -220,6 +227,27 @@ impl PatchTower<'_> {
             decoder,
             tower: Some(TowerDescription::apart(tower)),
         })
+    }
+
+    /// As [`Self::describe`], of a Qwen2-VL or Qwen2.5-VL, whose towers learn no positions.
+    pub(crate) fn describe_qwen2(
+        &self,
+        architecture: &'static str,
+        projector: &str,
+        act: Activation,
+    ) -> Described {
+        if (self.vision.layer_norm_eps / QWEN2_EPSILON - 1.0).abs() > 1e-6 {
+            return Err("another epsilon of the tower's norms");
+        }
+        let vision = VisionConfig {
+            image_size: QWEN2_IMAGE_SIZE,
+            ..self.vision.clone()
+        };
+        let named = PatchTower {
+            vision: &vision,
+            ..*self
+        };
+        named.describe(architecture, projector, act)
     }
 }
 

@@ -15,7 +15,7 @@ mod vision;
 mod reference_tests;
 
 pub(crate) use config::{Kind, Qwen3VlConfig, check_tower_rope, image_token, text_config};
-pub(crate) use gguf::{IMAGE, PatchTower, QWEN_NAMES, limits, vision};
+pub(crate) use gguf::{IMAGE, PatchTower, QWEN_NAMES, QWEN2_EPSILON, limits, vision};
 pub(crate) use merger::PatchMerger;
 pub(crate) use model::{PatchEncoder, PatchModel};
 pub(crate) use names::canonical_name;

@@ -3,14 +3,12 @@
 
 use super::GEMMA3N;
 use crate::MllmError;
-use crate::checkpoint::{ModelFiles, read_json};
+use crate::checkpoint::read_json;
 use crate::export::round_trip_tests::edit_metadata;
 use crate::family::ImageSettings;
-use crate::local::test_faults::{Fault, Parts};
+use crate::local::test_faults::Fault;
 use crate::local::test_prompts::Prompts;
-use crate::local::test_reference::{
-    LOGIT_TOLERANCE, assert_greedy, assert_logits, difference, fixture, logits_in_pieces,
-};
+use crate::local::test_reference::{assert_greedy, assert_logits, fixture};
 use crate::local::{Loading, LocalModel};
 use crate::source::ModelPlace;
 use candle_core::Tensor;
@@ -234,25 +232,5 @@ const FAULTS: [Fault; 22] = [
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let prompts = Prompts::from_fixture(FIXTURE);
-    let ids = prompts.reference.ids("chat_input_ids", 0);
-    let expected = prompts.reference.tensor("chat_logits");
-    let deviation = |parts: &Parts| {
-        let files = [("config.json".to_owned(), parts.config.to_string())];
-        let files = ModelFiles::packed(Path::new("model"), files.into());
-        let model = (GEMMA3N.open)(&files, &mut parts.weights(&GEMMA3N)).unwrap();
-        let logits = logits_in_pieces(&*model, &ids, None, &[]);
-        let kept = expected.dims()[0];
-        let last = logits.narrow(0, logits.dims()[0] - kept, kept).unwrap();
-        difference(&last, expected)
-    };
-    assert!(deviation(&Parts::from_folder(&prompts.folder)) < LOGIT_TOLERANCE);
-    for (what, fault) in FAULTS {
-        let found = deviation(&Parts::wrong(&prompts.folder, fault));
-        println!("  {what:48} {found:>10.1e}");
-        assert!(
-            found > 100.0 * LOGIT_TOLERANCE,
-            "{what} is hardly noticed: {found}"
-        );
-    }
+    Prompts::from_fixture(FIXTURE).assert_noticed(&GEMMA3N, &FAULTS);
 }

@@ -2,13 +2,12 @@
 //! errors that are easily made with it.
 
 use super::GEMMA3;
-use crate::checkpoint::ModelFiles;
 use crate::export::export_model;
 use crate::family::ImageSettings;
 use crate::local::Loading;
-use crate::local::test_faults::{Fault, Parts};
+use crate::local::test_faults::Fault;
 use crate::local::test_prompts::Prompts;
-use crate::local::test_reference::{LOGIT_TOLERANCE, difference, logits_in_pieces};
+use crate::local::test_reference::{difference, logits_in_pieces};
 use crate::source::ModelPlace;
 use planagent_kernels::matrix::WeightFormat;
 use serde_json::json;
@@ -107,25 +106,5 @@ const FAULTS: [Fault; 9] = [
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let prompts = Prompts::from_fixture(FIXTURE);
-    let ids = prompts.reference.ids("chat_input_ids", 0);
-    let expected = prompts.reference.tensor("chat_logits");
-    let deviation = |parts: &Parts| {
-        let files = [("config.json".to_owned(), parts.config.to_string())];
-        let files = ModelFiles::packed(Path::new("model"), files.into());
-        let model = (GEMMA3.open)(&files, &mut parts.weights(&GEMMA3)).unwrap();
-        let logits = logits_in_pieces(&*model, &ids, None, &[]);
-        let kept = expected.dims()[0];
-        let last = logits.narrow(0, logits.dims()[0] - kept, kept).unwrap();
-        difference(&last, expected)
-    };
-    assert!(deviation(&Parts::from_folder(&prompts.folder)) < LOGIT_TOLERANCE);
-    for (what, fault) in FAULTS {
-        let found = deviation(&Parts::wrong(&prompts.folder, fault));
-        println!("  {what:48} {found:>10.1e}");
-        assert!(
-            found > 100.0 * LOGIT_TOLERANCE,
-            "{what} is hardly noticed: {found}"
-        );
-    }
+    Prompts::from_fixture(FIXTURE).assert_noticed(&GEMMA3, &FAULTS);
 }
