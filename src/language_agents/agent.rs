@@ -3,12 +3,12 @@
 
 use crate::chat::Chat;
 use crate::memory::MemoryError;
-use planagent_agent::environment::GraphedScene;
+use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{LanguageAgentSettings, PlannerError, PlannerInput, Unreadable};
 use planagent_agent::reasoning::{
     ParseError, PlannerAnswer, PromptError, QuestionPrompts, ReasoningError,
 };
-use planagent_world::Trajectory;
+use planagent_world::{SceneView, Trajectory};
 use std::sync::Arc;
 
 /// An agent that is asked in a chat. [`LanguagePlanner`](crate::planner::LanguagePlanner) makes it a
@@ -57,11 +57,16 @@ pub(crate) trait ChatAgent: Send {
     /// Makes a plan the active one.
     fn adopt(&mut self, plan: Self::Plan);
 
-    /// Goes on with the active plan after a planning call that gave none.
+    /// Goes on with the active plan after a planning call that gave none. Off the road there is no
+    /// lane graph.
     ///
     /// # Errors
     /// When the plan has no finite states.
-    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError>;
+    fn go_on(
+        &mut self,
+        scene: &SceneView<'_>,
+        graph: Option<&LaneGraph>,
+    ) -> Result<(), PlannerError>;
 
     /// The trajectory of the active plan; `None` before the first.
     ///

@@ -14,16 +14,20 @@ mod gpt_driver;
 mod memory;
 mod oracle;
 mod planner;
+mod teaching;
 mod waypoints;
 
 pub use agent_driver::{agent_driver_text, experience};
 pub use dilu::{Drive, dilu_text, lesson_items};
 pub use entry::entries;
 pub use memory::{DiluItem, ExperienceItem, Memory};
+pub use teaching::{SearchedState, TaughtAnswer, Teacher};
 
 #[cfg(test)]
 mod agent_driver_tests;
 #[cfg(test)]
 mod dilu_tests;
+#[cfg(test)]
+mod teaching_tests;
 #[cfg(test)]
 mod tests;

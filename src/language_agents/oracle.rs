@@ -11,7 +11,7 @@ use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_controls::foresight::{self, Foresight};
-use planagent_controls::search::{HORIZON, best, search_ahead};
+use planagent_controls::search::{Candidate, HORIZON, best, search_ahead};
 use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
 use planagent_world::{EgoState, HistorySample, SceneView};
 
@@ -64,7 +64,7 @@ impl<A: ChatAgent> Foresight for AnswerOracle<A> {
 }
 
 /// Iterations that the simulation has left for a search.
-pub(crate) fn horizon(simulation: &ClosedLoop<'static>) -> usize {
+pub(crate) fn horizon(simulation: &ClosedLoop<'_>) -> usize {
     let last = simulation.scenario().iterations() - 1;
     HORIZON.min(last - simulation.iteration())
 }
@@ -74,8 +74,13 @@ pub(crate) fn best_waypoints<A>(simulation: &ClosedLoop<'static>, _: &A) -> Opti
     let scene = simulation.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok()?;
     let tried = search_ahead(simulation, &graph, horizon(simulation));
-    let states = &best(&tried)?.reflection.states;
-    let from = scene.ego.center();
+    waypoints_of(simulation, best(&tried)?)
+}
+
+/// Where a planner code leads in the roll-out of its plan from the present.
+pub(crate) fn waypoints_of(simulation: &ClosedLoop<'_>, code: &Candidate) -> Option<WaypointList> {
+    let states = &code.reflection.states;
+    let from = simulation.scene().ego.center();
     let seen = |waypoint: usize| {
         let state = states.get((waypoint + 1) * SPACING_STEPS)?;
         let place = from.to_local(state.center().position());
@@ -95,7 +100,7 @@ const METER: f64 = 0.001;
 
 /// The action after which nuPlan's score over six seconds is best, whether the set-points are kept
 /// after it or the ego slows down every second; among equals the first that is offered.
-pub(crate) fn best_action(simulation: &ClosedLoop<'static>, agent: &Dilu) -> Option<DrivingAction> {
+pub(crate) fn best_action(simulation: &ClosedLoop<'_>, agent: &Dilu) -> Option<DrivingAction> {
     let scene = simulation.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok()?;
     let set = agent.set_points_in(GraphedScene::new(&scene, &graph));
@@ -117,7 +122,7 @@ pub(crate) fn best_action(simulation: &ClosedLoop<'static>, agent: &Dilu) -> Opt
 
 /// The value of a drive from these set-points, with an action every second; `None` where it cannot
 /// be scored.
-fn value(simulation: &ClosedLoop<'static>, mut set: SetPoints, then: DrivingAction) -> Option<f64> {
+fn value(simulation: &ClosedLoop<'_>, mut set: SetPoints, then: DrivingAction) -> Option<f64> {
     let mut trial = simulation.clone();
     let mut samples: Vec<HistorySample> = Vec::new();
     for step in 0..horizon(simulation) {

@@ -3,7 +3,7 @@
 
 use crate::agent::ChatAgent;
 use crate::chat::Chat;
-use planagent_agent::environment::GraphedScene;
+use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{
     AskedModel, AttemptLimits, Attempts, CallTerms, Clock, Decision, LanguageAgent, NoPlan,
     PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
@@ -202,9 +202,13 @@ impl<A: ChatAgent> LanguageAgent for LanguagePlanner<A> {
     }
 
     /// The active plan must still reach as far ahead as a new one would.
-    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
+    fn go_on(
+        &mut self,
+        scene: &SceneView<'_>,
+        graph: Option<&LaneGraph>,
+    ) -> Result<(), PlannerError> {
         if self.has_plan {
-            self.agent.go_on(seen)
+            self.agent.go_on(scene, graph)
         } else {
             Ok(())
         }

@@ -196,6 +196,39 @@ fn gpt_driver_drives_the_default_scene_and_asks_every_second() {
 }
 
 #[test]
+fn off_the_road_the_plan_goes_on_to_the_end() {
+    // To the right at the first calls, then straight on: soon no lane is near.
+    let model = Stub::new(|prompt, number| {
+        if number > 1 {
+            return straight_on(prompt, number);
+        }
+        let places =
+            (1..=6).map(|i| format!("({:.2},{:.2})", 2.0 * f64::from(i), 2.5 * f64::from(i)));
+        format!("Trajectory: [{}]", places.collect::<Vec<_>>().join(", "))
+    });
+    let scenario = default_scene();
+    let settings = PlanAgentSettings::default();
+    let (calls, log) = drive(
+        "gpt-driver",
+        Some(model),
+        &scenario,
+        Challenge::NonReactive,
+        &settings,
+    );
+    let without_graph = calls.iter().filter(|call| {
+        matches!(
+            call.decision,
+            Decision::KeepActivePlan(NoPlan::NoLaneGraph(_))
+        )
+    });
+    assert!(
+        without_graph.count() > 8,
+        "a plan of eight seconds must have been prolonged"
+    );
+    assert_eq!(log.samples.len(), scenario.iterations() - 1);
+}
+
+#[test]
 fn answers_that_are_no_plan_are_counted_and_the_plan_goes_on() {
     type Case = (fn(&str, usize) -> String, Unreadable);
     let cases: [Case; 4] = [

@@ -221,6 +221,52 @@ fn any_prompt_set_and_described_model_has_its_messages_and_a_shard_is_resumed() 
 }
 
 #[test]
+fn other_agents_are_taught_at_the_same_states() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("data");
+    write(&out, "0", &["--agents", "gpt-driver,dilu"]);
+    let states = |agent: &str| -> BTreeSet<String> {
+        let conversations = rows(&out.join(format!("{agent}/train/00000.jsonl")));
+        assert_table(&conversations);
+        for row in &conversations {
+            let turns = if agent == "messages" { 6 } else { 2 };
+            assert_chat(&row["messages"], turns, agent == "messages");
+        }
+        let states = conversations.iter().map(|row| row["state"].to_string());
+        states.collect()
+    };
+    let all = states("messages");
+    assert!(all.len() > 20);
+    for (agent, says) in [("gpt-driver", "Trajectory: [("), ("dilu", "\n#### ")] {
+        // A search near the end of a scene may find no answer.
+        let taught = states(agent);
+        assert!(taught.is_subset(&all) && taught.len() * 10 > all.len() * 9);
+        let conversations = rows(&out.join(format!("{agent}/train/00000.jsonl")));
+        let answers: BTreeSet<&str> = conversations
+            .iter()
+            .filter_map(|row| row["messages"][2]["content"].as_str())
+            .collect();
+        assert!(answers.len() > 4, "{answers:?}");
+        assert!(answers.iter().all(|answer| answer.contains(says)));
+    }
+    let unknown = refused(&[
+        "dataset",
+        "--for",
+        "messages",
+        "--agents",
+        "chauffeur",
+        "--out",
+        "x",
+    ]);
+    assert!(unknown.contains("gpt-driver"), "{unknown}");
+    let foreign = refused(&["dataset", "--agents", "dilu", "--out", "x"]);
+    assert!(
+        foreign.contains("--agents belongs to --for messages"),
+        "{foreign}"
+    );
+}
+
+#[test]
 fn an_adapter_that_trl_wrote_drives_a_scene() {
     let work = TempDir::new().unwrap();
     let calls = |adapter: &[&str], out: &str| -> Vec<Value> {

@@ -330,6 +330,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         WEIGHTS,
     ),
     (
+        "docs/teach.md",
+        "planagent simulate --planner dilu --model SmolLM2-135M-Instruct.Q4_1.gguf --adapter dilu-adapter",
+        WEIGHTS,
+    ),
+    (
         "docs/nuplan.md",
         "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val",
         NUPLAN,

@@ -80,11 +80,15 @@ pub trait LanguageAgent {
         Ok(plan)
     }
 
-    /// Goes on with the active plan after a call that gave none.
+    /// Goes on with the active plan after a call that gave none. Off the road there is no lane graph.
     ///
     /// # Errors
     /// When that plan has no finite states.
-    fn go_on(&mut self, _seen: GraphedScene<'_>) -> Result<(), PlannerError> {
+    fn go_on(
+        &mut self,
+        _scene: &SceneView<'_>,
+        _graph: Option<&LaneGraph>,
+    ) -> Result<(), PlannerError> {
         Ok(())
     }
 }
@@ -140,6 +144,7 @@ pub fn planning_call<A: LanguageAgent>(
         Ok(graph) => graph,
         Err(error) => {
             let decision = agent.without_plan(NoPlan::NoLaneGraph(error.to_string()));
+            agent.go_on(scene, None)?;
             return Ok((begun(decision), None));
         }
     };
@@ -163,7 +168,7 @@ pub fn planning_call<A: LanguageAgent>(
     let plan = if let Some(plan) = plan {
         Some(agent.settle(plan, &mut call, seen)?)
     } else {
-        agent.go_on(seen)?;
+        agent.go_on(scene, Some(&graph))?;
         None
     };
     call.total_ms = total_ms();

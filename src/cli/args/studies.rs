@@ -6,6 +6,7 @@ use crate::help;
 use crate::words::path_word;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
+use planagent_lab::dataset::Teacher;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
 use planagent_lab::study_runs::StudiesRequest;
@@ -59,6 +60,10 @@ pub(crate) struct DatasetArguments {
     /// fits.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, hide_short_help = true)]
     pub(crate) modified: f64,
+    /// With --for messages: conversations of other agents on the same states, beside those of
+    /// PlanAgent; separated by commas.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = taught_agent(), hide_short_help = true)]
+    pub(crate) agents: Vec<String>,
     /// Pairs of text twins for training: two states with the same prompts, other pictures and other
     /// best codes.
     ///
@@ -113,6 +118,10 @@ pub(crate) enum DatasetKind {
 #[cfg(feature = "learned")]
 fn imitation_planner() -> clap::builder::PossibleValuesParser {
     ImitationPlanner::ALL.map(ImitationPlanner::name).into()
+}
+
+fn taught_agent() -> clap::builder::PossibleValuesParser {
+    Teacher::NAMES.into()
 }
 
 /// Arguments of `study`.

@@ -9,7 +9,7 @@ use planagent_agent::reasoning::PromptSet;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
 use planagent_lab::dataset::{
-    Counts, MessageModel, Settings, check_folder, check_messages, write_message_card,
+    Counts, MessageModel, Settings, Teacher, check_folder, check_messages, write_message_card,
     write_messages, write_split, write_twins,
 };
 use planagent_mllm::ModelSource;
@@ -121,14 +121,19 @@ fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyh
         driver: None,
         modified: flags.modified,
     };
-    check_messages(&flags.out, &settings, &model)?;
+    let mut teachers = Vec::new();
+    for name in &flags.agents {
+        teachers.extend(Teacher::find(name)?);
+    }
+    check_messages(&flags.out, &settings, &model, &teachers)?;
     for (split, states) in [
         (Split::Train, flags.states),
         (Split::Validation, flags.validation),
     ] {
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
-        let written = write_messages(&flags.out, split, states, &settings, &model, &|states| {
+        let of = (&model, &teachers[..]);
+        let written = write_messages(&flags.out, split, states, &settings, of, &|states| {
             bar.inc(states as u64);
         })?;
         bar.finish_and_clear();
@@ -138,7 +143,7 @@ fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyh
                 .json(&serde_json::json!({"split": split.as_str(), "conversations": written}))?;
         }
     }
-    write_message_card(&flags.out, &settings, &model)?;
+    write_message_card(&flags.out, &settings, (&model, &teachers[..]))?;
     printer.note(format!(
         "data card: {}",
         flags.out.join("README.md").display()
@@ -182,6 +187,7 @@ fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
         ("--twins", flags.twins > 0),
         ("--validation-twins", flags.validation_twins > 0),
     ];
+    let of_messages = [("--agents", !flags.agents.is_empty())];
     let modified = [("--modified", flags.modified > 0.0)];
     #[cfg(feature = "learned")]
     let of_imitation = [
@@ -193,9 +199,13 @@ fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
     let of_imitation = [];
     // Options that another kind has.
     let foreign: &[(&str, &[(&str, bool)])] = match flags.kind {
-        DatasetKind::Labels => &[("imitation", &of_imitation)],
+        DatasetKind::Labels => &[("imitation", &of_imitation), ("messages", &of_messages)],
         DatasetKind::Messages => &[("imitation", &of_imitation), ("labels", &of_labels)],
-        DatasetKind::Imitation => &[("labels", &of_labels), ("labels", &modified)],
+        DatasetKind::Imitation => &[
+            ("labels", &of_labels),
+            ("labels", &modified),
+            ("messages", &of_messages),
+        ],
     };
     for (kind, options) in foreign {
         if let Some((option, _)) = options.iter().find(|(_, is_given)| *is_given) {

@@ -19,14 +19,14 @@ use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, wayp
 use check::checked;
 use experience::{CANDIDATES, nearest};
 use minijinja::context;
-use planagent_agent::environment::GraphedScene;
 use planagent_agent::environment::coordinates::EgoFacts;
+use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{AgentDriverSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
     ParseError, PromptError, QuestionPrompts, ReasoningError, RoundName, ToolUse, WaypointList,
 };
 use planagent_mllm::Constraint;
-use planagent_world::Trajectory;
+use planagent_world::{SceneView, Trajectory};
 use std::sync::Arc;
 use tools::{Facts, Group, call_grammar};
 
@@ -329,8 +329,12 @@ impl ChatAgent for AgentDriver {
         self.track.adopt(trajectory);
     }
 
-    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
-        self.track.go_on(seen)
+    fn go_on(
+        &mut self,
+        scene: &SceneView<'_>,
+        graph: Option<&LaneGraph>,
+    ) -> Result<(), PlannerError> {
+        self.track.go_on(scene, graph)
     }
 
     fn trajectory(&mut self, _: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError> {

@@ -9,22 +9,24 @@ mod control;
 mod describe;
 mod lesson;
 mod recall;
+mod taught;
 
 pub use lesson::{Drive, lesson_items};
 
 use crate::agent::{ChatAgent, Parts, Reply, in_answer};
 use crate::chat::{Asked, Chat};
 use crate::memory::{DiluItem, Memory, open};
+use crate::teaching::Questioned;
 use answer::{extraction, grammar, read_action, read_extraction};
 pub(crate) use control::SetPoints;
 use describe::description;
 use minijinja::context;
-use planagent_agent::environment::GraphedScene;
+use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{DiluSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
     DrivingAction, PromptError, QuestionPrompts, ReasoningError, RoundName,
 };
-use planagent_world::Trajectory;
+use planagent_world::{SceneView, Trajectory};
 use recall::Recall;
 use std::sync::Arc;
 
@@ -100,6 +102,28 @@ impl Dilu {
             None => SetPoints::at(seen),
         }
     }
+
+    /// What the model is asked, with the decisions that it remembers.
+    fn questioned(&self, observation: &Observation) -> Result<Questioned, PromptError> {
+        let recalled = self
+            .recall
+            .nearest(&observation.description, self.settings.examples);
+        let examples: Vec<_> = recalled
+            .into_iter()
+            .map(|item| context! { description => &item.description, answer => &item.answer })
+            .collect();
+        Ok(Questioned {
+            system: self.prompts.render("system", context! {})?,
+            prompt: self.prompts.render(
+                "question",
+                context! {
+                    examples => examples,
+                    scene_text => &observation.description,
+                    actions => observation.actions(),
+                },
+            )?,
+        })
+    }
 }
 
 /// What it sees.
@@ -161,22 +185,8 @@ impl ChatAgent for Dilu {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<DrivingAction>, ReasoningError> {
-        chat.open(self.prompts.render("system", context! {})?)?;
-        let recalled = self
-            .recall
-            .nearest(&observation.description, self.settings.examples);
-        let examples: Vec<_> = recalled
-            .into_iter()
-            .map(|item| context! { description => &item.description, answer => &item.answer })
-            .collect();
-        let prompt = self.prompts.render(
-            "question",
-            context! {
-                examples => examples,
-                scene_text => &observation.description,
-                actions => observation.actions(),
-            },
-        )?;
+        let Questioned { system, prompt } = self.questioned(observation)?;
+        chat.open(system)?;
         let asked = Asked {
             round: RoundName::Action,
             prompt,
@@ -222,7 +232,7 @@ impl ChatAgent for Dilu {
         self.set_points = Some(set);
     }
 
-    fn go_on(&mut self, _: GraphedScene<'_>) -> Result<(), PlannerError> {
+    fn go_on(&mut self, _: &SceneView<'_>, _: Option<&LaneGraph>) -> Result<(), PlannerError> {
         Ok(())
     }
 

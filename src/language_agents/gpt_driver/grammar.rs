@@ -4,7 +4,7 @@ use crate::waypoints::{Motion, any_of, text, waypoint_grammar};
 use planagent_mllm::Constraint;
 
 /// When an object comes into the ego's way, seconds.
-const TIMES: [&str; 7] = ["0.0", "0.5", "1.0", "1.5", "2.0", "2.5", "3.0"];
+pub(super) const TIMES: [&str; 7] = ["0.0", "0.5", "1.0", "1.5", "2.0", "2.5", "3.0"];
 /// What the ego does apart from stopping,
 const BEHAVIORS: [&str; 5] = [
     "move forward",

@@ -4,20 +4,22 @@
 //! What differs from the original stands in docs/agents.md.
 
 mod grammar;
+mod taught;
 
 use crate::agent::{ChatAgent, Parts, Reply};
 use crate::chat::{Asked, Chat};
+use crate::teaching::Questioned;
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
 pub(crate) use grammar::{action, reasons};
 use minijinja::context;
-use planagent_agent::environment::GraphedScene;
 use planagent_agent::environment::coordinates::{GptDriverText, seen_objects};
+use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{GptDriverSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
-    PromptError, QuestionPrompts, ReasoningError, RoundName, WaypointList,
+    LISTED_WAYPOINTS, PromptError, QuestionPrompts, ReasoningError, RoundName, WaypointList,
 };
-use planagent_world::Trajectory;
+use planagent_world::{SceneView, TrackedObject, Trajectory};
 use std::sync::Arc;
 
 /// The folder of its prompts.
@@ -69,6 +71,44 @@ pub(crate) struct Observation {
     objects: Vec<String>,
 }
 
+/// An object that a chain of reasons may name.
+struct NamedObject<'a> {
+    /// Its kind and place, as the text has them.
+    name: String,
+    object: &'a TrackedObject,
+    /// Its places now and after every half second: meters to the right, meters ahead.
+    places: [(f64, f64); LISTED_WAYPOINTS + 1],
+}
+
+/// The objects that a chain of reasons may name, the nearest first.
+fn nearest_objects<'a>(scene: &SceneView<'a>) -> impl Iterator<Item = NamedObject<'a>> {
+    let mut objects: Vec<_> = seen_objects(scene).collect();
+    let distance = |[(right, ahead), ..]: &[(f64, f64); LISTED_WAYPOINTS + 1]| right.hypot(*ahead);
+    objects.sort_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
+    let nearest = objects.into_iter().take(NAMED_OBJECTS);
+    nearest.map(|(object, places)| {
+        let [(right, ahead), ..] = places;
+        NamedObject {
+            name: format!("{} at ({right:.2},{ahead:.2})", object.kind),
+            object,
+            places,
+        }
+    })
+}
+
+impl GptDriver {
+    /// What the model is asked.
+    fn questioned(&self, observation: &Observation) -> Result<Questioned, PromptError> {
+        Ok(Questioned {
+            system: self.prompts.render("system", context! {})?,
+            prompt: self.prompts.render(
+                "question",
+                context! { scene_text => Self::scene_text(observation) },
+            )?,
+        })
+    }
+}
+
 impl ChatAgent for GptDriver {
     type Observation<'a> = Observation;
     type Answer = WaypointList;
@@ -83,18 +123,10 @@ impl ChatAgent for GptDriver {
     }
 
     fn observe(&mut self, GraphedScene { scene, graph }: GraphedScene<'_>) -> Observation {
-        let mut objects: Vec<_> = seen_objects(scene)
-            .map(|(object, [(right, ahead), ..])| {
-                let name = format!("{} at ({right:.2},{ahead:.2})", object.kind);
-                (right.hypot(ahead), name)
-            })
-            .collect();
-        objects.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        let nearest = objects.into_iter().take(NAMED_OBJECTS);
         Observation {
             text: GptDriverText::from_scene(scene, graph),
             motion: Motion::from_ego(scene.ego),
-            objects: nearest.map(|(_, name)| name).collect(),
+            objects: nearest_objects(scene).map(|named| named.name).collect(),
         }
     }
 
@@ -107,11 +139,8 @@ impl ChatAgent for GptDriver {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<WaypointList>, ReasoningError> {
-        chat.open(self.prompts.render("system", context! {})?)?;
-        let prompt = self.prompts.render(
-            "question",
-            context! { scene_text => Self::scene_text(observation) },
-        )?;
+        let Questioned { system, prompt } = self.questioned(observation)?;
+        chat.open(system)?;
         let asked = Asked {
             round: RoundName::Waypoints,
             prompt,
@@ -138,8 +167,12 @@ impl ChatAgent for GptDriver {
         self.track.adopt(trajectory);
     }
 
-    fn go_on(&mut self, seen: GraphedScene<'_>) -> Result<(), PlannerError> {
-        self.track.go_on(seen)
+    fn go_on(
+        &mut self,
+        scene: &SceneView<'_>,
+        graph: Option<&LaneGraph>,
+    ) -> Result<(), PlannerError> {
+        self.track.go_on(scene, graph)
     }
 
     fn trajectory(&mut self, _: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError> {

@@ -4,8 +4,8 @@ use super::SPACING_STEPS;
 use planagent_agent::environment::{GraphedScene, LaneGraph};
 use planagent_agent::planner::{Onward, PlannerError, prolonged, through_waypoints};
 use planagent_agent::reasoning::WaypointList;
-use planagent_world::Trajectory;
 use planagent_world::geometry::{Polyline, Vector};
+use planagent_world::{SceneView, Trajectory};
 
 /// The plan of a list of waypoints. Behind the last one the ego keeps its speed along its lane.
 #[derive(Debug, Clone, Default)]
@@ -40,10 +40,11 @@ impl WaypointTrack {
     /// Makes the plan reach as far as a new one.
     pub(crate) fn go_on(
         &mut self,
-        GraphedScene { scene, graph }: GraphedScene<'_>,
+        scene: &SceneView<'_>,
+        graph: Option<&LaneGraph>,
     ) -> Result<(), PlannerError> {
         if let Some(active) = &self.active {
-            let lanes = lanes(graph);
+            let lanes = graph.map_or_else(Vec::new, lanes);
             let longer = prolonged(active, scene.ego.time_us, Onward::Along(&lanes))?;
             self.active = Some(longer);
         }

@@ -1,8 +1,8 @@
 //! The data card of a dataset of messages, and LLaMA-Factory's list of its files.
 
-use super::{CONVERSATIONS, DatasetError, FILES, MessageModel, complete, path};
+use super::{BESIDE, CONVERSATIONS, DatasetError, MessageModel, complete, path};
 use crate::dataset::shard::ShardError;
-use crate::dataset::{Settings, Split};
+use crate::dataset::{Settings, Split, Teacher};
 use crate::tokens::TokenCounter;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -42,6 +42,8 @@ struct Counted {
 pub(super) struct Card<'a> {
     settings: &'a Settings<'a>,
     model: &'a MessageModel,
+    /// Other agents whose conversations stand beside.
+    agents: Vec<&'static str>,
     splits: Vec<Counted>,
 }
 
@@ -51,6 +53,7 @@ impl<'a> Card<'a> {
         folder: &Path,
         settings: &'a Settings<'a>,
         model: &'a MessageModel,
+        teachers: &[Teacher],
     ) -> Result<Self, DatasetError> {
         let splits = SPLITS
             .into_iter()
@@ -59,6 +62,7 @@ impl<'a> Card<'a> {
         Ok(Self {
             settings,
             model,
+            agents: teachers.iter().map(Teacher::name).collect(),
             splits: splits
                 .into_iter()
                 .filter(|counted| counted.conversations > 0)
@@ -70,7 +74,11 @@ impl<'a> Card<'a> {
     pub(super) fn markdown(&self) -> String {
         let mut text = format!("---\nlicense: {}\nconfigs:\n", LICENSE.to_lowercase());
         // Writing to a text cannot fail.
-        for file in FILES.iter().rev() {
+        let files = [CONVERSATIONS].into_iter();
+        for file in files
+            .chain(self.agents.iter().copied())
+            .chain(BESIDE.into_iter().rev())
+        {
             let _ = writeln!(text, "- config_name: {file}\n  data_files:");
             for Counted { split, .. } in &self.splits {
                 let split = split.as_str();
@@ -157,6 +165,16 @@ impl<'a> Card<'a> {
         for Counted { split, .. } in &self.splits {
             let split = split.as_str();
             let messages = json!({"messages": "messages"});
+            for agent in &self.agents {
+                listed.insert(
+                    format!("planagent_{agent}_{split}"),
+                    // These agents see no picture.
+                    json!({
+                        "file_name": format!("{agent}/{split}"), "formatting": "sharegpt",
+                        "columns": messages, "tags": tags,
+                    }),
+                );
+            }
             let preferences = json!({
                 "messages": "prompt", "chosen": "chosen_message", "rejected": "rejected_message",
             });

@@ -2,7 +2,7 @@
 //! tried codes, each as JSON lines, with the pictures as PNG files beside.
 //!
 //! The states are those of the labeled states with the same settings. A shard is a file in each of
-//! `codes/SPLIT`, `preferences/SPLIT` and `messages/SPLIT`. The last is written last, so that its
+//! `codes/SPLIT`, `preferences/SPLIT`, that of each other agent, and `messages/SPLIT`. The last is written last, so that its
 //! presence shows completeness. Columns have one type in all lines, so that a table can be read
 //! line by line. `docs/teach.md` describes them.
 
@@ -12,7 +12,7 @@ mod images;
 mod rows;
 
 use super::shard::{self, ShardError, write_file};
-use super::{DatasetError, Settings, Split, scenes, states};
+use super::{DatasetError, Settings, Split, Teacher, scenes, states};
 use planagent_agent::environment::bev::Palette;
 use planagent_agent::reasoning::PromptError;
 use rayon::prelude::*;
@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 
 /// Version of the layout.
 const FORMAT: u32 = 1;
-/// The files of a shard, in the order in which they are written.
-const FILES: [&str; 3] = ["codes", "preferences", CONVERSATIONS];
+/// The files of a shard beside its conversations.
+const BESIDE: [&str; 2] = ["codes", "preferences"];
 /// The one that shows that a shard is complete.
 const CONVERSATIONS: &str = "messages";
 
@@ -58,13 +58,16 @@ struct Meta<'a> {
     prompt_set: &'a str,
     /// BLAKE3 of the files of the prompt set.
     prompts_blake3: &'a str,
+    /// Other agents whose conversations stand beside.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    agents: Vec<&'static str>,
     /// Share of modified scenarios.
     modified: f64,
     seed: u64,
     planagent: &'static str,
 }
 
-fn meta<'a>(settings: &'a Settings<'_>, model: &'a MessageModel) -> Meta<'a> {
+fn meta<'a>(settings: &'a Settings<'_>, model: &'a MessageModel, teachers: &[Teacher]) -> Meta<'a> {
     Meta {
         format: FORMAT,
         kind: CONVERSATIONS,
@@ -72,6 +75,7 @@ fn meta<'a>(settings: &'a Settings<'_>, model: &'a MessageModel) -> Meta<'a> {
         view_m: settings.view.meters(),
         prompt_set: settings.prompts.name(),
         prompts_blake3: settings.prompts.blake3(),
+        agents: teachers.iter().map(Teacher::name).collect(),
         modified: settings.modified,
         seed: settings.seed,
         planagent: env!("CARGO_PKG_VERSION"),
@@ -87,8 +91,9 @@ pub fn check_messages(
     folder: &Path,
     settings: &Settings<'_>,
     model: &MessageModel,
+    teachers: &[Teacher],
 ) -> Result<(), DatasetError> {
-    shard::is_begun(folder, &meta(settings, model))?;
+    shard::is_begun(folder, &meta(settings, model, teachers))?;
     Ok(())
 }
 
@@ -99,15 +104,15 @@ pub fn write_messages(
     split: Split,
     states: usize,
     settings: &Settings<'_>,
-    model: &MessageModel,
+    (model, teachers): (&MessageModel, &[Teacher]),
     on_states: &dyn Fn(usize),
 ) -> Result<usize, DatasetError> {
-    shard::open_folder(folder, &meta(settings, model))?;
+    shard::open_folder(folder, &meta(settings, model, teachers))?;
     let (mut count, mut number) = (0, 0);
     while count < states {
         let made = match complete(folder, split, number) {
             Some(present) => present,
-            None => write_shard(folder, split, number, settings, model)?,
+            None => write_shard(folder, (split, number), settings, (model, teachers))?,
         };
         on_states(made);
         count += made;
@@ -120,9 +125,9 @@ pub fn write_messages(
 pub fn write_message_card(
     folder: &Path,
     settings: &Settings<'_>,
-    model: &MessageModel,
+    (model, teachers): (&MessageModel, &[Teacher]),
 ) -> Result<(), DatasetError> {
-    let card = card::Card::read(folder, settings, model)?;
+    let card = card::Card::read(folder, settings, model, teachers)?;
     write_file(&folder.join("README.md"), card.markdown().as_bytes())?;
     let listed = serde_json::to_string_pretty(&card.dataset_info()).map_err(ShardError::from)?;
     write_file(
@@ -146,15 +151,14 @@ fn complete(folder: &Path, split: Split, number: usize) -> Option<usize> {
 /// Writes a shard, and gives the number of its conversations.
 fn write_shard(
     folder: &Path,
-    split: Split,
-    number: usize,
+    (split, number): (Split, usize),
     settings: &Settings<'_>,
-    model: &MessageModel,
+    (model, teachers): (&MessageModel, &[Teacher]),
 ) -> Result<usize, DatasetError> {
     let scenarios = scenes::scenarios(split, number, settings)?;
     let made = scenarios.par_iter().map(|spec| {
         states::walk(spec, settings, &|visited, feedback| {
-            Rows::of_state(visited, feedback.as_ref(), settings, model)
+            Rows::of_state(visited, feedback.as_ref(), settings, (model, teachers))
         })
     });
     let mut made: Vec<Rows> = made
@@ -172,13 +176,24 @@ fn write_shard(
             rows.show(&path);
         }
     }
+    let [codes, preferences] = BESIDE;
+    let mut files = vec![
+        (codes, lines(made.iter().flat_map(|rows| &rows.codes))?),
+        (
+            preferences,
+            lines(made.iter().flat_map(|rows| &rows.preferences))?,
+        ),
+    ];
+    for (index, teacher) in teachers.iter().enumerate() {
+        let of_agent = made
+            .iter()
+            .filter_map(|rows| rows.agents.get(index)?.as_ref());
+        files.push((teacher.name(), lines(of_agent)?));
+    }
     // The file that shows completeness comes last.
-    for file in FILES {
-        let lines = match file {
-            CONVERSATIONS => lines(made.iter().map(|rows| &rows.conversation))?,
-            "preferences" => lines(made.iter().flat_map(|rows| &rows.preferences))?,
-            _ => lines(made.iter().flat_map(|rows| &rows.codes))?,
-        };
+    let conversations = made.iter().map(|rows| &rows.conversation);
+    files.push((CONVERSATIONS, lines(conversations)?));
+    for (file, lines) in files {
         let path = path(folder, file, split, number);
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent).map_err(|source| ShardError::Write {

@@ -14,6 +14,7 @@ use planagent_agent::reasoning::{
 };
 use planagent_agent::reflection::SubScores;
 use planagent_controls::search::Candidate;
+use planagent_language_agents::{SearchedState, TaughtAnswer, Teacher};
 use serde::Serialize;
 
 /// A turn of a chat.
@@ -100,12 +101,37 @@ pub(super) struct TriedCode {
     images: Vec<String>,
 }
 
+/// A line of the conversations of another agent.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct AgentConversation {
+    messages: [Message; 3],
+    state: StateName,
+}
+
+impl AgentConversation {
+    fn new(taught: TaughtAnswer, state: StateName) -> Self {
+        let system = Message {
+            role: "system",
+            content: taught.system,
+        };
+        let messages = [
+            system,
+            Message::user(taught.prompt),
+            Message::assistant(taught.answer),
+        ];
+        Self { messages, state }
+    }
+}
+
 /// All lines of one state, with its picture.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rows {
     pub(super) conversation: Conversation,
     pub(super) preferences: Vec<Preference>,
     pub(super) codes: Vec<TriedCode>,
+    /// Those of other agents, in the order of their teachers; `None` where the search finds no answer
+    /// of an agent's form.
+    pub(super) agents: Vec<Option<AgentConversation>>,
     /// None for a model that reads text alone.
     pub(super) image: Option<RgbImage>,
 }
@@ -127,7 +153,7 @@ impl Rows {
         visited: &VisitedState<'_>,
         feedback: Option<&Feedback>,
         settings: &Settings<'_>,
-        model: &MessageModel,
+        (model, teachers): (&MessageModel, &[Teacher]),
     ) -> Result<Self, PromptError> {
         // A code is preferred whatever was refused before, so preferences have no feedback.
         let first = Chat::of_state(visited, None, settings, model)?;
@@ -157,11 +183,21 @@ impl Rows {
             prompt: first.before_code(visited.best),
             images: Vec::new(),
         });
+        let searched = SearchedState {
+            simulation: visited.simulation,
+            graph: visited.graph,
+            best: visited.best,
+        };
+        let agents = teachers.iter().map(|teacher| {
+            let taught = teacher.teach(searched)?;
+            Ok(taught.map(|taught| AgentConversation::new(taught, state.clone())))
+        });
         let refused = visited.tried.iter().filter(|tried| !tried.is_accepted());
         let preferences = refused
             .filter(|_| visited.best.is_accepted())
             .map(|refused| first.preference(visited.best, refused, &state, settings));
         Ok(Self {
+            agents: agents.collect::<Result<_, PromptError>>()?,
             preferences: preferences.collect::<Result<_, _>>()?,
             codes: codes.collect(),
             conversation: Conversation {
