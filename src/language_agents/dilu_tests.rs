@@ -10,7 +10,7 @@ use planagent_agent::reasoning::{
     DrivingAction, PlannerAnswer, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
 };
 use planagent_agent::simulation::Challenge;
-use planagent_mllm::{GenerationSettings, Sampling};
+use planagent_mllm::{Constraint, GenerationSettings, Sampling};
 use std::sync::Arc;
 
 /// Goes faster until 8 m/s are set, then keeps on.
@@ -37,6 +37,12 @@ fn dilu_drives_the_default_scene_by_actions() {
         let asked = model.asked.lock().unwrap();
         assert!(asked[0].0.contains("Your car: speed ") && asked[0].0.contains("\n1: keep"));
         assert!(!asked[0].0.contains("A scene that you met"), "no memory");
+        // In parts the reasoning would take the line break before the delimiter.
+        assert!(
+            matches!(asked[0].1, Constraint::Regex(_)),
+            "{:?}",
+            asked[0].1
+        );
         let last = log.samples.last().unwrap().ego;
         assert!((last.speed() - 7.5).abs() < 0.6, "{}", last.speed());
     }

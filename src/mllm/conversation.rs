@@ -196,7 +196,8 @@ pub enum Constraint {
     /// A text that this regular expression matches as a whole (syntax of the `regex` crate, no
     /// look-around).
     Regex(String),
-    /// These in order; free text and Lark are not allowed.
+    /// These in order; free text and Lark are not allowed. A regular expression takes all that it
+    /// matches: what may begin the next part must end it, or both must be one expression.
     Sequence(Vec<Constraint>),
     /// One of these; free text and Lark are not allowed.
     OneOf(Vec<Constraint>),

@@ -3,7 +3,7 @@
 use crate::agent::{Reply, beginning};
 use crate::chat::Chat;
 use crate::memory::DELIMITER;
-use crate::waypoints::{any_of, text};
+use crate::waypoints::any_of;
 use planagent_agent::planner::Unreadable;
 use planagent_agent::reasoning::{DrivingAction, ParseError};
 use planagent_mllm::Constraint;
@@ -12,13 +12,15 @@ use std::ops::Range;
 /// The reasoning: some sentences without the delimiter.
 const REASONING: &str = "[A-Za-z][^#]{2,600}";
 
-/// Reasoning and one of the offered actions.
+/// Reasoning and one of the offered actions. One expression, because a part of its own would take the
+/// line break, and the delimiter behind it could never follow.
 pub(super) fn grammar(offered: &[DrivingAction]) -> Constraint {
-    Constraint::Sequence(vec![
-        Constraint::Regex(REASONING.to_owned()),
-        text(format!("\n{DELIMITER} ")),
-        numbers(offered),
-    ])
+    let numbers: Vec<String> = offered
+        .iter()
+        .map(|action| action.id().to_string())
+        .collect();
+    let end = format!("\n{DELIMITER} ({})", numbers.join("|"));
+    Constraint::Regex(format!("{REASONING}{end}"))
 }
 
 /// One of the offered actions alone.

@@ -388,4 +388,28 @@ mod tests {
         assert_eq!(state.allowed().unwrap(), allowed, "asking changes nothing");
         assert!(state.consume(&[tokenizer.id("ep").unwrap()]).is_err());
     }
+
+    #[test]
+    fn an_open_end_meets_what_follows_only_in_one_expression() {
+        let (_folder, tokenizer) = sentence_piece();
+        let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
+        let answer = ["k", "e", "<0x0A>", "<0x23>", "<0x31>"];
+        let ids: Vec<TokenId> = answer
+            .iter()
+            .map(|token| tokenizer.id(token).unwrap())
+            .collect();
+        let allowed = |constraint: Constraint| -> usize {
+            let mut state = engine.begin(&constraint).unwrap().unwrap();
+            // The first letter is forced.
+            let forced = state.take_fast_forwarded().unwrap().len();
+            forced + state.allowed_prefix(&ids[forced..]).unwrap()
+        };
+        let whole = Constraint::Regex(r"k[^#]{1,40}\n#1".into());
+        assert_eq!(allowed(whole), answer.len());
+        let parts = Constraint::Sequence(vec![
+            Constraint::Regex("k[^#]{1,40}".into()),
+            Constraint::Choice(vec!["\n#1".into()]),
+        ]);
+        assert_eq!(allowed(parts), 3, "the first part took the line break");
+    }
 }
