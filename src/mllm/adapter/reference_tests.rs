@@ -1,5 +1,4 @@
-//! PEFT's own merged weights and logits: `quantized_reference` in the data folder, which is not part
-//! of the project. `cargo test -p planagent-mllm -- --ignored adapter` runs these.
+//! PEFT's own merged weights and logits (`tests/fixtures/quantized_reference`).
 
 use super::test_adapter::{identity, merged, names_of_llama, weights};
 use super::{Adapter, AdapterSpec, BaseModel};
@@ -10,12 +9,14 @@ use crate::decoder::{Decoder, DecoderInput, LanguageModel, LlamaLayer, Logits};
 use crate::families::Families;
 use crate::family::{Tiles, VisionLanguageModel};
 use crate::llava::{Llava, LlavaConfig};
-use crate::local::test_reference::{LOGIT_TOLERANCE, Reference, difference, logits_in_pieces};
+use crate::local::test_reference::{
+    LOGIT_TOLERANCE, Reference, difference, fixture, logits_in_pieces,
+};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::vision::ClipImageProcessor;
 use candle_core::{Device, Tensor};
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Largest error of a merged weight.
 const TOLERANCE: f32 = 1e-5;
@@ -41,16 +42,14 @@ const LLAMA: [(&str, &str); 17] = [
     ("lora_olora", "base_llama"),
 ];
 
-fn data() -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(beside, PathBuf::from)
-        .join("quantized_reference")
+/// A folder of the reference.
+fn folder(name: &str) -> PathBuf {
+    fixture("quantized_reference").join(name)
 }
 
 /// The weights that a case expects, by their names in transformers.
 fn expected(case: &str) -> HashMap<String, Tensor> {
-    let path = data().join(case).join("expected.safetensors");
+    let path = folder(case).join("expected.safetensors");
     let tensors = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
     let weights = tensors.into_iter().filter_map(|(name, tensor)| {
         let name = name.strip_prefix("weight.")?.to_owned();
@@ -60,7 +59,7 @@ fn expected(case: &str) -> HashMap<String, Tensor> {
 }
 
 fn base(name: &str, canonical: &dyn Fn(&str) -> Option<String>) -> Weights {
-    safetensors_folder::open(&data().join(name), None, canonical).unwrap()
+    safetensors_folder::open(&folder(name), None, canonical).unwrap()
 }
 
 /// Checks the weights of a case; gives the largest error.
@@ -71,8 +70,8 @@ fn check(
     stored: &dyn Fn(&str) -> String,
 ) -> f32 {
     let spec = AdapterSpec::new(match case {
-        "lora_gguf" => data().join(case).join("adapter.gguf"),
-        _ => data().join(case),
+        "lora_gguf" => folder(case).join("adapter.gguf"),
+        _ => folder(case),
     });
     Adapter::open(&spec)
         .unwrap()
@@ -89,18 +88,17 @@ fn check(
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn merged_weights_are_those_of_peft() {
-    for (case, folder) in LLAMA {
-        let weights = base(folder, &identity);
+    for (case, of) in LLAMA {
+        let weights = base(of, &identity);
         let worst = check(case, weights, &merged(&identity), &str::to_owned);
         println!("{case}: {worst:e}");
     }
 }
 
 /// The logits of a llama with these weights.
-fn logits(mut weights: Weights, folder: &str, ids: &[u32]) -> Tensor {
-    let path = data().join(folder).join("config.json");
+fn logits(mut weights: Weights, base: &str, ids: &[u32]) -> Tensor {
+    let path = folder(base).join("config.json");
     let json = read_json(&path).unwrap();
     let root = ConfigObject::root(&path, &json).unwrap();
     let config = LlamaConfig::read(root, DecoderType::Llama).unwrap();
@@ -119,16 +117,15 @@ fn logits(mut weights: Weights, folder: &str, ids: &[u32]) -> Tensor {
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn logits_are_those_of_peft() {
-    for (case, folder) in LLAMA {
-        let mut weights = base(folder, &identity);
-        let adapter = Adapter::open(&AdapterSpec::new(data().join(case))).unwrap();
+    for (case, of) in LLAMA {
+        let mut weights = base(of, &identity);
+        let adapter = Adapter::open(&AdapterSpec::new(folder(case))).unwrap();
         adapter
             .merge_into(&mut weights, &merged(&identity))
             .unwrap();
-        let reference = Reference::open(&data().join(case).join("expected.safetensors"));
-        let found = logits(weights, folder, &reference.ids("input_ids", 0));
+        let reference = Reference::open(&folder(case).join("expected.safetensors"));
+        let found = logits(weights, of, &reference.ids("input_ids", 0));
         let error = difference(&found, reference.tensor("logits"));
         assert!(
             error < LOGIT_TOLERANCE,
@@ -139,7 +136,6 @@ fn logits_are_those_of_peft() {
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn weights_of_gpt2_whose_outputs_are_columns_are_those_of_peft() {
     let weights = base("base_gpt2", &identity);
     let worst = check("lora_conv1d", weights, &merged(&identity), &str::to_owned);
@@ -148,10 +144,9 @@ fn weights_of_gpt2_whose_outputs_are_columns_are_those_of_peft() {
 
 /// The experts of a folder as one tensor of a layer, as transformers has them in memory.
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn weights_of_experts_are_those_of_peft() {
     let stored =
-        candle_core::safetensors::load(data().join("base_mixtral/model.safetensors"), &Device::Cpu)
+        candle_core::safetensors::load(folder("base_mixtral/model.safetensors"), &Device::Cpu)
             .unwrap();
     let mut made = Vec::new();
     let mut add = |name: String, tensor: Tensor| {
@@ -182,7 +177,6 @@ fn weights_of_experts_are_those_of_peft() {
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn a_file_of_llama_cpp_gives_the_weights_of_peft() {
     let canonical = |name: &str| names_of_llama().to_canonical(&stored_in_gguf(name)?);
     let base_model = BaseModel {
@@ -192,7 +186,7 @@ fn a_file_of_llama_cpp_gives_the_weights_of_peft() {
         ..merged(&canonical)
     };
     let mut weights = base("base_llama", &canonical);
-    let spec = AdapterSpec::new(data().join("lora_gguf/adapter.gguf"));
+    let spec = AdapterSpec::new(folder("lora_gguf/adapter.gguf"));
     let adapter = Adapter::open(&spec).unwrap();
     adapter.merge_into(&mut weights, &base_model).unwrap();
     for (name, tensor) in expected("lora_gguf") {
@@ -231,14 +225,13 @@ fn stored_in_gguf(name: &str) -> Option<String> {
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn a_llava_with_names_of_any_age_gives_the_weights_and_logits_of_peft() {
     for case in ["lora_llava", "lora_llava_old_names"] {
         let open = || {
-            let place = ModelPlace::Folder(data().join("base_llava"));
+            let place = ModelPlace::Folder(folder("base_llava"));
             Checkpoint::open(&place, None, &Families::default())
                 .unwrap()
-                .adapted(Some(&AdapterSpec::new(data().join(case))))
+                .adapted(Some(&AdapterSpec::new(folder(case))))
                 .unwrap()
         };
         let mut checkpoint = open();
@@ -252,7 +245,7 @@ fn a_llava_with_names_of_any_age_gives_the_weights_and_logits_of_peft() {
             assert!(error < TOLERANCE, "{case}: {name} differs by {error}");
         }
         let mut checkpoint = open();
-        let reference = Reference::open(&data().join(case).join("expected.safetensors"));
+        let reference = Reference::open(&folder(case).join("expected.safetensors"));
         let config = LlavaConfig::open(&checkpoint.files).unwrap();
         let processor = ClipImageProcessor::square(config.vision.image_size as u32);
         let model = Llava::take(&mut checkpoint.weights, config, processor).unwrap();
@@ -264,7 +257,7 @@ fn a_llava_with_names_of_any_age_gives_the_weights_and_logits_of_peft() {
                 height: 28,
             })
             .unwrap();
-        let ids = reference.ids("input_ids", 255);
+        let ids = reference.ids("input_ids", 15);
         let logits = logits_in_pieces(&model, &ids, Some(&features), &[]);
         let error = difference(&logits, reference.tensor("logits"));
         assert!(

@@ -9,7 +9,7 @@ mod processor;
 mod tower;
 
 #[cfg(test)]
-mod reference_tests;
+pub(crate) mod reference_tests;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};

@@ -11,13 +11,14 @@ use crate::local::Sequence;
 use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{Prompts, json_of};
 use crate::local::test_reference::{
-    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference,
+    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, data, difference,
+    feature_difference,
 };
 use crate::source::ModelPlace;
 use candle_core::{Device, Tensor};
 use serde_json::json;
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const FIXTURE: &str = "tiny_lfm2_vl";
 
@@ -250,14 +251,10 @@ fn errors_that_are_easily_made_lead_far_away() {
     deviation(&right, &ordered(&[0, 3, 1, 4, 2, 5], false)).assert_far("tiles in columns");
 }
 
-/// The reference of the data folder, which has a norm before the projector, a picture that is
+/// Checks the reference of the data folder as folder and GGUF. It has a norm before the projector, a picture that is
 /// enlarged, and one in six tiles. Its pixels are those of torchvision.
-#[test]
-#[ignore = "needs mllm_reference/lfm2_vl in $PLANAGENT_DATA"]
-fn a_second_model_is_that_of_transformers_as_folder_and_gguf() {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let data = std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from);
-    let folder = data.join("mllm_reference/lfm2_vl");
+pub(crate) fn check_lfm2_vl() {
+    let folder = data().join("mllm_reference/lfm2_vl");
     let reference = Reference::open(&folder.join("reference.safetensors"));
     let gguf = tempfile::tempdir().unwrap();
     for name in [

@@ -1,14 +1,13 @@
 //! Parity with the packages that write packed folders: their numbers, and the logits of a model
-//! with them. The folders lie outside of the repository: `quantized_reference` in
-//! `$PLANAGENT_DATA`, else in `../shared/data`.
+//! with them (`tests/fixtures/quantized_reference`).
 //!
-//! `cargo test -p planagent-mllm --lib quantized::reference -- --ignored --nocapture` prints a table.
+//! `cargo test -p planagent-mllm --lib quantized::reference -- --nocapture` prints a table.
 
 use super::open;
 use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Weights, read_json};
 use crate::decoder::{Decoder, DecoderInput, LanguageModel, LlamaLayer, Logits};
 use crate::family::Positions;
-use crate::local::test_reference::{LOGIT_TOLERANCE, Reference, difference};
+use crate::local::test_reference::{LOGIT_TOLERANCE, Reference, difference, fixture};
 use candle_core::Tensor;
 use planagent_kernels::matrix::WeightFormat;
 use safetensors::SafeTensors;
@@ -52,9 +51,7 @@ const CASES: [(&str, f32); 29] = [
 const ROUNDED_LOGITS: f32 = 0.1;
 
 fn folder(case: &str) -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let data = std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from);
-    data.join("quantized_reference").join(case)
+    fixture("quantized_reference").join(case)
 }
 
 fn weights(folder: &Path, quantize: Option<WeightFormat>) -> Weights {
@@ -179,7 +176,6 @@ fn check(case: &str, exact: f32) -> String {
 }
 
 #[test]
-#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn numbers_and_logits_of_all_packages_are_found() {
     println!(
         "folder, numbers, logits in f32, numbers in memory, logits with rounded activations (relative), formats"
