@@ -1,4 +1,4 @@
-//! Planners written in Python, in runs of the library.
+//! Planners in Python, in runs of the library.
 
 use crate::observation::Observation;
 use crate::relay::{Question, Relay};
@@ -11,7 +11,7 @@ use planagent_agent::planner::{check_plan, kept};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A planner of Python in one simulation.
+/// A planner in Python in one simulation.
 struct PythonPlanner {
     name: PlannerName,
     /// Its number among the planners of the run.
@@ -78,7 +78,7 @@ impl Drop for PythonPlanner {
     }
 }
 
-/// The entry of a planner of Python in the registry.
+/// The entry of a planner in Python in the registry.
 pub(crate) fn entry(name: String, number: usize, relay: Arc<Relay>) -> PlannerEntry {
     let name = PlannerName::new(kept(name));
     PlannerEntry::new(

@@ -340,7 +340,7 @@ impl Drop for Run {
     }
 }
 
-/// The error of a resumed run; where one of its planners was in Python, it says how to give it.
+/// The error of a resumed run; where one of its planners is in Python, it says how to give it.
 fn of_own_planner(request: &Request, error: RunnerError) -> Failure {
     let mut cause = &error;
     while let RunnerError::CannotResume { source, .. } = cause {
@@ -353,7 +353,7 @@ fn of_own_planner(request: &Request, error: RunnerError) -> Failure {
         return error.into();
     }
     Failure::argument(format!(
-        "a planner of this run was written in Python, and the folder holds its name alone; give all planners of the run again: \
+        "a planner of this run is in Python, and the folder holds its name alone; give all planners of the run again: \
          planagent.resume(out, planners=...) ({unknown})"
     ))
 }

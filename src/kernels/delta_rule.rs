@@ -14,8 +14,8 @@ const EPS: f32 = 1e-6;
 /// Least multiplications for which other threads are worth waking.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
-/// Tokens that are prepared at once, where threads share them.
-const PIECE: usize = 8;
+/// Tokens that a thread prepares at once.
+const TASK_TOKENS: usize = 8;
 
 /// The heads of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,8 +96,8 @@ impl GatedDeltaRule {
         let tokens = rows.len() / self.row();
         let parallel = 4 * tokens * self.state() >= MIN_PARALLEL_PRODUCTS;
         let prepare = |rows: &mut [f32]| Instructions::best().run(Prepare { rule: self, rows });
-        if parallel && tokens > PIECE {
-            let pieces = rows.par_chunks_mut(PIECE * self.row());
+        if parallel && tokens > TASK_TOKENS {
+            let pieces = rows.par_chunks_mut(TASK_TOKENS * self.row());
             pieces.for_each(prepare);
         } else {
             prepare(rows);
@@ -220,7 +220,7 @@ impl Kernel for Head<'_> {
         let tokens = rows.chunks_exact(rule.row());
         for (out, row) in out.chunks_exact_mut(wide).zip(tokens) {
             let (channels, factors) = row.split_at(heads.channels());
-            let (learned, kept) = (factors[value], factors[heads.values + value]);
+            let (learned, decay) = (factors[value], factors[heads.values + value]);
             let query = &channels[place..place + deep];
             let key = &channels[keys + place..keys + place + deep];
             let values = &channels[2 * keys + value * wide..2 * keys + (value + 1) * wide];
@@ -228,7 +228,7 @@ impl Kernel for Head<'_> {
             change.fill(0.0);
             for (row, key) in state.chunks_exact_mut(wide).zip(key) {
                 for (said, number) in change.iter_mut().zip(row) {
-                    *number *= kept;
+                    *number *= decay;
                     *said += *number * key;
                 }
             }

@@ -3,8 +3,9 @@
 use candle_core::{Result, Storage, Tensor, bail};
 use rayon::prelude::*;
 
-/// Numbers of a piece of elementwise work. Two pieces or more are worth waking other threads for.
-pub(crate) const PIECE: usize = 1 << 15;
+/// Numbers that a thread computes at once in elementwise work. Twice as many are worth waking other
+/// threads for.
+pub(crate) const TASK_NUMBERS: usize = 1 << 15;
 
 /// Runs `read` on the row-major numbers of a contiguous f32 tensor on the CPU, without a copy.
 pub(crate) fn with_contiguous<T>(
@@ -43,10 +44,10 @@ pub(crate) fn row_by_row(
     }
     with_values(x, |values| {
         let mut out = vec![0f32; values.len() / inputs * outputs];
-        if out.len() < 2 * PIECE {
+        if out.len() < 2 * TASK_NUMBERS {
             apply(&mut out, values);
         } else {
-            let rows = (PIECE / outputs).max(1);
+            let rows = (TASK_NUMBERS / outputs).max(1);
             out.par_chunks_mut(rows * outputs)
                 .zip(values.par_chunks(rows * inputs))
                 .for_each(|(out, x)| apply(out, x));

@@ -43,7 +43,7 @@ pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{
     AnswerError, DEFAULT_EXEC_TIMEOUT, ExecAgent, ExecAgentsStep, ExecCommand, ExecError,
-    ExecReply, ExecRequest, ExecSession, is_exec, kept, moved, read_reply, trajectory_of,
+    ExecReply, ExecRequest, ExecSession, interned, is_exec, moved, read_reply, trajectory_of,
 };
 pub use gated::Gated;
 pub use idm::IdmPlanner;

@@ -58,9 +58,9 @@ pub fn through_waypoints(
         let mut center = Pose::at(from.to_map(Point::from(place)), heading);
         if step == spline.last_step() {
             way = LaneWay::from(onward, center).map(|way| (way, along));
-        } else if let (Some((way, kept)), true) = (&way, step > spline.last_step()) {
+        } else if let (Some((way, end_speed)), true) = (&way, step > spline.last_step()) {
             let behind_s = (step - spline.last_step()) as f64 * STEP_S;
-            (center, along) = (way.at(kept * behind_s), *kept);
+            (center, along) = (way.at(end_speed * behind_s), *end_speed);
             heading = center.heading;
         }
         let time_us = ego.time_us + step as i64 * STEP_US;

@@ -1,6 +1,6 @@
 //! Names of agent policies that are no challenge of nuPlan's.
 
-use crate::planner::kept;
+use crate::planner::interned;
 use std::fmt;
 
 /// What the names of challenges with own agents begin with.
@@ -29,8 +29,8 @@ impl AgentPolicyName {
         let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
         let is_name = !name.is_empty() && name.chars().all(fits) && !RESERVED.contains(&name);
         is_name.then(|| Self {
-            name: kept(name.to_owned()),
-            challenge: kept(format!("{OWN}{name}")),
+            name: interned(name.to_owned()),
+            challenge: interned(format!("{OWN}{name}")),
         })
     }
 

@@ -163,17 +163,17 @@ fn asked(
     printer: Printer,
 ) -> Result<Answer, planagent_mllm::MllmError> {
     let mut conversation = model.converse(prefix, seed)?;
-    let (mut heard, is_terminal) = (String::new(), std::io::stdout().is_terminal());
+    let (mut streamed, is_terminal) = (String::new(), std::io::stdout().is_terminal());
     let asked = conversation.ask_aloud(prompt, request, &mut |piece| {
-        heard.push_str(piece);
+        streamed.push_str(piece);
         if is_terminal {
             printer.piece(piece);
         }
     });
-    let whole = asked.as_ref().map_or(&heard, |answer| &answer.text);
+    let whole = asked.as_ref().map_or(&streamed, |answer| &answer.text);
     if !is_terminal {
         printer.piece(whole);
-    } else if *whole != heard {
+    } else if *whole != streamed {
         printer.piece("\n");
         printer.note("what came so far was the model's reasoning; this is the answer:");
         printer.piece(whole);

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 /// Queries that a kernel computes at once, and vectors of keys.
 const QUERIES: usize = 4;
 const VECTORS: usize = 2;
-/// Queries of a piece of work.
-const PIECE: usize = 8 * QUERIES;
+/// Queries that a thread computes at once.
+const TASK_QUERIES: usize = 8 * QUERIES;
 /// Minimum multiplications for which other threads are worth waking.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 18;
 
@@ -148,8 +148,8 @@ impl PackedKeyValues {
                 if 2 * batch * count * all * self.count < MIN_PARALLEL_PRODUCTS {
                     piece(member, 0, out);
                 } else {
-                    let pieces = out.par_chunks_mut(PIECE * all).enumerate();
-                    pieces.for_each(|(i, out)| piece(member, i * PIECE, out));
+                    let pieces = out.par_chunks_mut(TASK_QUERIES * all).enumerate();
+                    pieces.for_each(|(i, out)| piece(member, i * TASK_QUERIES, out));
                 }
             };
             if count > 0

@@ -36,7 +36,7 @@ pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::Work;
-use super::values::{PIECE, with_values};
+use super::values::{TASK_NUMBERS, with_values};
 
 /// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of
 /// the weights.
@@ -75,10 +75,10 @@ impl Matrix {
         };
         let mut blocks =
             vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
-        let pieces =
-            blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
+        let pieces = blocks
+            .par_chunks_mut(TASK_NUMBERS / weight_format.block() * weight_format.block_bytes());
         pieces
-            .zip(values.par_chunks(PIECE))
+            .zip(values.par_chunks(TASK_NUMBERS))
             .try_for_each(|(blocks, values)| {
                 let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
                 blocks.copy_from_slice(&QTensor::quantize(&tensor, format)?.data()?);

@@ -42,10 +42,10 @@ impl MultiheadAttention {
         [query, key, value]: [&Tensor; 3],
         bias: Option<&Tensor>,
     ) -> Result<Tensor> {
-        self.hear(query, &self.memory(key, value)?, bias)
+        self.attended(query, &self.memory(key, value)?, bias)
     }
 
-    /// Keys and values (B, K, E) that several queries may hear.
+    /// Keys and values (B, K, E) that several queries may attend to.
     pub(crate) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<PackedKeyValues> {
         PackedKeyValues::pack(
             &self.projected(1, key)?,
@@ -54,8 +54,8 @@ impl MultiheadAttention {
         )
     }
 
-    /// As [`Self::forward`], of queries that hear a memory.
-    pub(crate) fn hear(
+    /// As [`Self::forward`], of queries that attend to a memory.
+    pub(crate) fn attended(
         &self,
         query: &Tensor,
         memory: &PackedKeyValues,
@@ -69,9 +69,10 @@ impl MultiheadAttention {
         self.projections[part].forward(x)
     }
 
-    /// The result of what the heads heard (…, E); of zeros, where all keys are hidden.
-    pub(crate) fn output(&self, heard: &Tensor) -> Result<Tensor> {
-        self.output.forward(heard)
+    /// The output projection of the heads' weighted values (…, E), which are zeros where all keys
+    /// are hidden.
+    pub(crate) fn output(&self, weighted_values: &Tensor) -> Result<Tensor> {
+        self.output.forward(weighted_values)
     }
 }
 

@@ -3,31 +3,33 @@
 use super::{Linear, Weights, relu};
 use candle_core::{Result, Tensor};
 
-/// An affine layer of rows [own, common], where the rows of a group have the second part in common:
+/// An affine layer of rows [row, common], where the rows of a group have the second part in common:
 /// its product is computed once a group.
 #[derive(Debug, Clone)]
 pub(crate) struct GroupLinear {
-    own: Linear,
+    of_row: Linear,
     common: Linear,
 }
 
 impl GroupLinear {
-    /// Of a weight (outputs, own + common) and a bias; both parts of a row have the same width.
+    /// Of a weight (outputs, row + common) and a bias; both parts of a row have the same width.
     pub(crate) fn from_tensors(weight: &Tensor, bias: Tensor) -> Result<Self> {
         let width = weight.dim(1)? / 2;
         Ok(Self {
-            own: Linear::from_tensors(&weight.narrow(1, 0, width)?, None)?,
+            of_row: Linear::from_tensors(&weight.narrow(1, 0, width)?, None)?,
             common: Linear::from_tensors(&weight.narrow(1, width, width)?, Some(bias))?,
         })
     }
 
-    /// Maps rows (groups, rows, own) and what their groups have in common (groups, common) to
+    /// Maps rows (groups, rows, row) and what their groups have in common (groups, common) to
     /// (groups, rows, outputs).
     pub(crate) fn forward(&self, x: &Tensor, common: &Tensor) -> Result<Tensor> {
         let (groups, rows, _) = x.dims3()?;
         let common = self.common.forward(common)?.unsqueeze(1)?;
-        self.own
-            .forward_onto(x, &common.broadcast_as((groups, rows, self.own.outputs()))?)
+        self.of_row.forward_onto(
+            x,
+            &common.broadcast_as((groups, rows, self.of_row.outputs()))?,
+        )
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 /// nothing. Parts of a network that run at the same time may note results with different names.
 #[derive(Debug, Default)]
 pub struct Probe {
-    kept: Option<Mutex<BTreeMap<String, Tensor>>>,
+    results: Option<Mutex<BTreeMap<String, Tensor>>>,
 }
 
 impl Probe {
@@ -20,21 +20,21 @@ impl Probe {
     /// Keeps everything.
     pub fn on() -> Self {
         Self {
-            kept: Some(Mutex::default()),
+            results: Some(Mutex::default()),
         }
     }
 
     /// Notes a result. A name that is noted again gets `#1`, `#2` and so on.
     pub(crate) fn note(&self, name: &str, result: &Tensor) {
-        let Some(kept) = &self.kept else { return };
-        let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(results) = &self.results else { return };
+        let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
         let mut key = name.to_owned();
         let mut times = 0;
-        while kept.contains_key(&key) {
+        while results.contains_key(&key) {
             times += 1;
             key = format!("{name}#{times}");
         }
-        kept.insert(key, result.clone());
+        results.insert(key, result.clone());
     }
 
     /// Notes a result that nothing else needs.
@@ -43,7 +43,7 @@ impl Probe {
         name: &str,
         result: impl FnOnce() -> candle_core::Result<Tensor>,
     ) -> candle_core::Result<()> {
-        if self.kept.is_some() {
+        if self.results.is_some() {
             self.note(name, &result()?);
         }
         Ok(())
@@ -51,7 +51,7 @@ impl Probe {
 
     /// The result of this name.
     pub fn get(&self, name: &str) -> Option<Tensor> {
-        self.kept
+        self.results
             .as_ref()?
             .lock()
             .unwrap_or_else(PoisonError::into_inner)

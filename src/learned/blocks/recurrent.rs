@@ -56,17 +56,17 @@ impl Gru {
         let inputs = of_input.forward(&x.transpose(0, 1)?)?;
         let mut state = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;
         for step in 0..steps {
-            let own = of_state.forward(&state)?;
+            let state_gates = of_state.forward(&state)?;
             let mut next = state.flatten_all()?.to_vec1::<f32>()?;
             let runs = |row: usize| {
                 lengths.is_none_or(|lengths| lengths.get(row).is_some_and(|&length| step < length))
             };
-            with_values(&inputs.i(step)?, |inputs| {
-                with_values(&own, |own| {
+            with_values(&inputs.i(step)?, |input_gates| {
+                with_values(&state_gates, |state_gates| {
                     let cell = GruCell {
                         width: self.width,
-                        inputs,
-                        own,
+                        input_gates,
+                        state_gates,
                         runs,
                         state: &mut next,
                     };
@@ -84,8 +84,8 @@ impl Gru {
 /// state, in the order reset, update, new.
 struct GruCell<'a, R> {
     width: usize,
-    inputs: &'a [f32],
-    own: &'a [f32],
+    input_gates: &'a [f32],
+    state_gates: &'a [f32],
     runs: R,
     state: &'a mut [f32],
 }
@@ -95,25 +95,26 @@ impl<R: Fn(usize) -> bool> Kernel for GruCell<'_, R> {
     fn run<S: Simd>(self, _: S) {
         let width = self.width;
         let gates = self
-            .inputs
+            .input_gates
             .chunks_exact(3 * width)
-            .zip(self.own.chunks_exact(3 * width));
-        for (row, (state, (input, own))) in
+            .zip(self.state_gates.chunks_exact(3 * width));
+        for (row, (state, (of_input, of_state))) in
             self.state.chunks_exact_mut(width).zip(gates).enumerate()
         {
             if !(self.runs)(row) {
                 continue;
             }
-            let ((reset, input), (own_reset, own)) = (input.split_at(width), own.split_at(width));
-            let ((update, fresh), (own_update, own_fresh)) =
-                (input.split_at(width), own.split_at(width));
+            let ((reset, of_input), (state_reset, of_state)) =
+                (of_input.split_at(width), of_state.split_at(width));
+            let ((update, fresh), (state_update, state_fresh)) =
+                (of_input.split_at(width), of_state.split_at(width));
             // The compiler vectorizes the loop where it knows all lengths.
-            let (state, fresh, own_fresh) =
-                (&mut state[..width], &fresh[..width], &own_fresh[..width]);
+            let (state, fresh, state_fresh) =
+                (&mut state[..width], &fresh[..width], &state_fresh[..width]);
             for i in 0..width {
-                let reset = sigmoid(reset[i] + own_reset[i]);
-                let update = sigmoid(update[i] + own_update[i]);
-                let fresh = tanh(fresh[i] + reset * own_fresh[i]);
+                let reset = sigmoid(reset[i] + state_reset[i]);
+                let update = sigmoid(update[i] + state_update[i]);
+                let fresh = tanh(fresh[i] + reset * state_fresh[i]);
                 state[i] = fresh + update * (state[i] - fresh);
             }
         }

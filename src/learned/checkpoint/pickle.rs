@@ -116,7 +116,7 @@ impl Pickle {
             values: Vec::new(),
             stack: Vec::new(),
             marks: Vec::new(),
-            kept: HashMap::new(),
+            memo: HashMap::new(),
         };
         let root = machine.run()?;
         Ok(Self {
@@ -180,7 +180,7 @@ struct Machine<'a> {
     stack: Vec<Id>,
     /// Heights of the stack that a later instruction goes back to.
     marks: Vec<usize>,
-    kept: HashMap<usize, Id>,
+    memo: HashMap<usize, Id>,
 }
 
 impl Machine<'_> {
@@ -309,7 +309,7 @@ impl Machine<'_> {
                     let number = u32::from_le_bytes(self.take()?);
                     self.keep(number as usize)?;
                 }
-                0x94 => self.keep(self.kept.len())?,
+                0x94 => self.keep(self.memo.len())?,
                 b'h' => {
                     let [number] = self.take()?;
                     self.recall(number.into())?;
@@ -443,14 +443,14 @@ impl Machine<'_> {
 
     fn keep(&mut self, number: usize) -> Result<(), PickleError> {
         let &last = self.stack.last().ok_or(PickleError::EmptyStack(self.at))?;
-        self.kept.insert(number, last);
+        self.memo.insert(number, last);
         Ok(())
     }
 
     fn recall(&mut self, number: usize) -> Result<(), PickleError> {
         self.stack.push(
             *self
-                .kept
+                .memo
                 .get(&number)
                 .ok_or(PickleError::NotKept(self.at))?,
         );

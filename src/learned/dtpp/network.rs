@@ -176,25 +176,32 @@ impl Dtpp {
         let (environment, condition) = self.biases(scene, tree)?;
         let states = inputs.neighbors.narrow(1, 0, neighbors)?;
         let states = states.narrow(2, states.dim(2)? - 1, 1)?.squeeze(2)?;
-        // All agents hear the same scene and the same branches.
-        let heard = [
+        // All agents attend to the same scene and the same branches.
+        let [scene_memory, branch_memory] = [
             self.environment.memory(&scene.tokens)?,
             self.condition.memory(&pooled)?,
         ];
         let future = |i: usize| {
             let query = scene.tokens.narrow(1, i + 1, 1)?.broadcast_add(&embedded)?;
-            let near = self.environment.hear(&query, &heard[0], &environment)?;
-            let own = self.condition.hear(&query, &heard[1], &condition)?;
+            let of_scene = self
+                .environment
+                .attended(&query, &scene_memory, &environment)?;
+            let of_branch = self
+                .condition
+                .attended(&query, &branch_memory, &condition)?;
             let [inner, outer] = &self.futures;
-            let moved =
-                outer.forward(&inner.forward(&Tensor::cat(&[&near, &own], 2)?)?.elu(1.0)?)?;
+            let moved = outer.forward(
+                &inner
+                    .forward(&Tensor::cat(&[&of_scene, &of_branch], 2)?)?
+                    .elu(1.0)?,
+            )?;
             let start = states
                 .narrow(1, i, 1)?
                 .narrow(2, 0, 3)?
                 .reshape((batch, 1, 1, 3))?;
             Ok([
-                near,
-                own,
+                of_scene,
+                of_branch,
                 moved
                     .reshape((batch, branches, STEPS, 3))?
                     .broadcast_add(&start)?,
@@ -205,9 +212,9 @@ impl Dtpp {
             .map(future)
             .collect::<Result<Vec<_>>>()?;
         let mut futures = Vec::with_capacity(neighbors);
-        for [near, own, future] in agents {
-            probe.note("decoder.environment_decoder", &near);
-            probe.note("decoder.ego_condition_decoder", &own);
+        for [of_scene, of_branch, future] in agents {
+            probe.note("decoder.environment_decoder", &of_scene);
+            probe.note("decoder.ego_condition_decoder", &of_branch);
             futures.push(future);
         }
         let futures = Tensor::stack(&futures, 2)?;
@@ -261,9 +268,10 @@ impl Dtpp {
         let environment = bias(keys, &|sample, query, key| {
             used(sample, query) && seen[sample][key] != 0
         })?;
-        let own = |query: usize, key: usize| query / TOKENS == key / TOKENS && key <= query;
+        let is_of_branch =
+            |query: usize, key: usize| query / TOKENS == key / TOKENS && key <= query;
         let condition = bias(tokens, &|sample, query, key| {
-            used(sample, query) && own(query, key)
+            used(sample, query) && is_of_branch(query, key)
         })?;
         Ok((environment, condition))
     }

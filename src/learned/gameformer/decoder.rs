@@ -13,7 +13,8 @@ const GAUSSIAN: usize = 4;
 const STEP: usize = 5;
 /// Time between two poses, seconds.
 const STEP_S: f64 = 0.1;
-/// Steps forward are at least this long for the direction of a future, meters.
+/// Least step forward when the heading of a future is computed, meters (`clamp(min=1e-6)` of
+/// upstream's `FutureEncoder.state_process`).
 const MIN_FORWARD: f64 = 1e-6;
 
 /// What a level predicts.
@@ -173,7 +174,9 @@ impl Decoder {
             let shares = softmax(scores)?.unsqueeze(3)?;
             // As upstream: a mean over the modes, although their shares sum up to one already.
             let expected = (encoded.broadcast_mul(&shares)?.sum(2)? / modes as f64)?;
-            let interaction = stage.interaction.own(&expected, &key_bias(&present)?)?;
+            let interaction = stage
+                .interaction
+                .self_attended(&expected, &key_bias(&present)?)?;
             probe.note(
                 &format!("decoder.interaction_stage.{i}.interaction_encoder"),
                 &interaction,
@@ -194,7 +197,7 @@ impl Decoder {
     }
 }
 
-/// −∞ where a query of an actor would hear the actor's own interaction (1, 1, actors · modes,
+/// −∞ where a query of an actor would attend to the actor's own interaction (1, 1, actors · modes,
 /// keys).
 fn own_hidden(actors: usize, modes: usize, keys: usize) -> Result<Tensor> {
     let mut bias = vec![0f32; actors * modes * keys];
@@ -205,6 +208,11 @@ fn own_hidden(actors: usize, modes: usize, keys: usize) -> Result<Tensor> {
 }
 
 /// x, y, heading and velocity of futures (B, N, M, 80, 2).
+///
+/// As upstream, a heading is within ±90 degrees of the ego's: a step back counts as one of
+/// [`MIN_FORWARD`], so an oncoming agent heads to the left or right. Upstream gives no reason; the
+/// bound keeps the gradient of `atan2` finite at a step of zero. Published weights are trained with
+/// it, so it stays.
 fn steps(futures: &Tensor, current: &Tensor) -> Result<Tensor> {
     let (batch, actors, modes, poses, _) = futures.dims5()?;
     let start = current.narrow(2, 0, 2)?.reshape((batch, actors, 1, 1, 2))?;

@@ -18,8 +18,8 @@ const STATE: usize = 5;
 /// Columns and points of lanes and crosswalks.
 const LANE: [usize; 2] = [7, 50];
 const CROSSWALK: [usize; 2] = [3, 30];
-/// Points of a token.
-const PIECE: usize = 10;
+/// Points of a lane or crosswalk in one token.
+const TOKEN_POINTS: usize = 10;
 
 /// Inputs of a batch, f32, zeros where nothing is; the frame is that of the rear axle now.
 #[derive(Debug, Clone)]
@@ -182,12 +182,13 @@ impl MapEncoder {
         let (batch, count, points, _) = lines.dims4()?;
         let encoded = self.points.forward(lines)?;
         probe.note(&format!("{name}.point_net"), &encoded);
-        let pieces = points / PIECE;
+        let tokens_of_line = points / TOKEN_POINTS;
         let encoded = encoded.broadcast_add(&self.positions)?;
-        let tokens = largest(&encoded.reshape((batch, count * pieces, PIECE, ()))?)?;
+        let tokens =
+            largest(&encoded.reshape((batch, count * tokens_of_line, TOKEN_POINTS, ()))?)?;
         let x = lines
             .narrow(3, 0, 1)?
-            .reshape((batch, count * pieces, PIECE))?;
+            .reshape((batch, count * tokens_of_line, TOKEN_POINTS))?;
         Ok((tokens, x.ne(0.0)?.min(2)?))
     }
 }
@@ -273,34 +274,35 @@ impl Block {
         })
     }
 
-    /// Queries that hear a memory, without a residual around the attention.
+    /// Queries that attend to a memory, without a residual around the attention.
     pub(crate) fn cross(&self, query: &Tensor, memory: &Tensor, bias: &Tensor) -> Result<Tensor> {
-        self.hear(query, &self.memory(memory)?, bias)
+        self.attended(query, &self.memory(memory)?, bias)
     }
 
-    /// A memory that several queries may hear.
+    /// A memory that several queries may attend to.
     pub(crate) fn memory(&self, memory: &Tensor) -> Result<PackedKeyValues> {
         self.attention.memory(memory, memory)
     }
 
     /// As [`Self::cross`].
-    pub(crate) fn hear(
+    pub(crate) fn attended(
         &self,
         query: &Tensor,
         memory: &PackedKeyValues,
         bias: &Tensor,
     ) -> Result<Tensor> {
-        self.rest(&self.attention.hear(query, memory, Some(bias))?)
+        self.normed(&self.attention.attended(query, memory, Some(bias))?)
     }
 
-    /// Tokens that hear each other.
-    pub(crate) fn own(&self, x: &Tensor, bias: &Tensor) -> Result<Tensor> {
-        self.rest(&(x + self.attention.forward([x, x, x], Some(bias))?)?)
+    /// Tokens that attend to each other.
+    pub(crate) fn self_attended(&self, x: &Tensor, bias: &Tensor) -> Result<Tensor> {
+        self.normed(&(x + self.attention.forward([x, x, x], Some(bias))?)?)
     }
 
-    fn rest(&self, heard: &Tensor) -> Result<Tensor> {
+    /// The result of the attention through both norms and the perceptron between them.
+    fn normed(&self, attended: &Tensor) -> Result<Tensor> {
         let ([first, second], [inner, outer]) = (&self.norms, &self.mlp);
-        let x = first.forward(heard)?;
+        let x = first.forward(attended)?;
         second.forward(&outer.forward_onto(&gelu(&inner.forward(&x)?)?, &x)?)
     }
 }

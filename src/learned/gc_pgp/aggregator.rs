@@ -12,8 +12,8 @@ use rayon::prelude::*;
 const ATTENTION: usize = 128;
 const HEADS: usize = 32;
 const HEAD: usize = ATTENTION / HEADS;
-/// Traversals of a piece of work.
-const PIECE: usize = 64;
+/// Traversals that a thread computes at once.
+const TASK_TRAVERSALS: usize = 64;
 /// A row of all heads: the first number of each, the second of each, and so on.
 type Row = [[f32; HEADS]; HEAD];
 /// Width of a context.
@@ -93,24 +93,23 @@ impl Aggregator {
         }
         let [node_values, step_values] = table(2, value)?;
         let (node_values, step_values) = (by_number(&node_values)?, by_number(&step_values)?);
-        let mut heard = vec![0f32; rows * ATTENTION];
-        let pieces = heard
-            .par_chunks_mut(PIECE * ATTENTION)
-            .zip(traversals.par_chunks(PIECE));
-        pieces.for_each(|(heard, traversals)| {
-            let walks = Walks {
+        let mut weighted_values = vec![0f32; rows * ATTENTION];
+        let tasks = weighted_values
+            .par_chunks_mut(TASK_TRAVERSALS * ATTENTION)
+            .zip(traversals.par_chunks(TASK_TRAVERSALS));
+        tasks.for_each(|(out, traversals)| {
+            let kernel = TraversalAttention {
                 logits: [&of_nodes, &of_steps],
                 values: [&node_values, &step_values],
                 traversals,
-                heard,
+                out,
             };
-            Instructions::best().run(walks);
+            Instructions::best().run(kernel);
         });
-        let mixed =
-            self.attention
-                .output(&Tensor::from_vec(heard, (rows, ATTENTION), &Device::Cpu)?)?;
-        let own = ego.broadcast_as((rows, WIDTH))?.contiguous()?;
-        Tensor::cat(&[own, mixed], 1)
+        let weighted_values = Tensor::from_vec(weighted_values, (rows, ATTENTION), &Device::Cpu)?;
+        let attended = self.attention.output(&weighted_values)?;
+        let ego = ego.broadcast_as((rows, WIDTH))?.contiguous()?;
+        Tensor::cat(&[ego, attended], 1)
     }
 }
 
@@ -135,15 +134,17 @@ fn logits(query: &[f32], keys: &[Row]) -> Vec<[f32; HEADS]> {
         .collect()
 }
 
-/// What a query hears along traversals, from logits and values of nodes and of steps.
-struct Walks<'a> {
+/// Attention of a query to the steps of each traversal: the values of its nodes and steps, weighted
+/// by the softmax of their logits.
+struct TraversalAttention<'a> {
     logits: [&'a [[f32; HEADS]]; 2],
     values: [&'a [Row]; 2],
     traversals: &'a [[u32; TRAVERSAL]],
-    heard: &'a mut [f32],
+    /// A row of all heads for each traversal.
+    out: &'a mut [f32],
 }
 
-impl Kernel for Walks<'_> {
+impl Kernel for TraversalAttention<'_> {
     #[inline(always)]
     #[allow(
         clippy::inline_always,
@@ -152,7 +153,7 @@ impl Kernel for Walks<'_> {
     fn run<S: Simd>(self, _: S) {
         let ([of_nodes, of_steps], [node_values, step_values]) = (self.logits, self.values);
         let goal = of_nodes.len() - 1;
-        for (heard, traversal) in self.heard.chunks_exact_mut(ATTENTION).zip(self.traversals) {
+        for (out, traversal) in self.out.chunks_exact_mut(ATTENTION).zip(self.traversals) {
             let nodes = traversal.map(|node| goal.min(node as usize));
             // Heads are the innermost dimension everywhere, so that inner loops are vector
             // operations.
@@ -183,8 +184,8 @@ impl Kernel for Walks<'_> {
                     }
                 }
             }
-            for (i, heard) in heard.iter_mut().enumerate() {
-                *heard = mixed[i % HEAD][i / HEAD] / sums[i / HEAD];
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = mixed[i % HEAD][i / HEAD] / sums[i / HEAD];
             }
         }
     }

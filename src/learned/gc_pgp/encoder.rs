@@ -152,9 +152,9 @@ impl Encoder {
         let mut nodes = leaky_relu(&mixed)?;
         let bias = inputs.connected_bias()?;
         for (i, round) in self.graph.iter().enumerate() {
-            let heard = round.forward(&nodes, &nodes, &bias)?;
-            probe.note(&format!("gat{i}"), &heard);
-            nodes = (nodes + heard)?;
+            let attended = round.forward(&nodes, &nodes, &bias)?;
+            probe.note(&format!("gat{i}"), &attended);
+            nodes = (nodes + attended)?;
         }
         Ok(Encodings { ego, nodes })
     }

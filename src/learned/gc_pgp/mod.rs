@@ -17,6 +17,6 @@ pub use features::{AgentSteps, GcPgpFeatures};
 pub use lane_graph::{LaneNodes, Node};
 pub use network::{GcPgp, GcPgpInputs, GcPgpScene};
 pub(crate) use planner::entry;
-pub use traversals::Walks;
+pub use traversals::TraversalSampler;
 pub use visited::{Visited, visited};
 pub use waypoints::poses;

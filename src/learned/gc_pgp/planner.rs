@@ -3,7 +3,7 @@
 use super::clusters::{Clusters, ranks, scores};
 use super::features::GcPgpFeatures;
 use super::network::{GcPgp, GcPgpInputs, LATENT, POSES};
-use super::traversals::{Walks, normal};
+use super::traversals::{TraversalSampler, normal};
 use super::waypoints::poses;
 use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
@@ -16,7 +16,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
-/// Walks and latent samples of a plan.
+/// Traversals and latent samples of a plan.
 const SAMPLES: usize = 1000;
 /// Number of clusters of trajectories, and which poses form them: one in this many.
 const CLUSTERS: usize = 10;
@@ -89,7 +89,7 @@ impl GcPgp {
         features: &GcPgpFeatures,
         inputs: &GcPgpInputs,
     ) -> Result<Vec<(f64, Places)>> {
-        // One generator for walks, latents and clusters, in this order: the same scene gives the
+        // One generator for traversals, latents and clusters, in this order: the same scene gives the
         // same plan.
         let mut random = Pcg64Mcg::seed_from_u64(SEED);
         let scene = self.encode(inputs, true, &Probe::off())?;
@@ -108,13 +108,13 @@ impl GcPgp {
         if initial.is_empty() {
             initial.clone_from(&features.graph.initial);
         }
-        let walks = Walks {
+        let sampler = TraversalSampler {
             policy: &policy,
             targets: &targets,
             initial: &initial,
         };
-        let walks = walks.draw(SAMPLES, &mut random);
-        let context = self.aggregate(&scene.encodings, &[walks])?;
+        let traversals = sampler.draw(SAMPLES, &mut random);
+        let context = self.aggregate(&scene.encodings, &[traversals])?;
         let latent = Tensor::from_vec(
             normal(SAMPLES * LATENT, &mut random),
             (1, SAMPLES, LATENT),

@@ -3,20 +3,20 @@
 use super::network::TRAVERSAL;
 use rand::{Rng, RngExt};
 
-/// What the walks follow.
+/// Draws traversals of the lane graph by a policy.
 #[derive(Debug, Clone, Copy)]
-pub struct Walks<'a> {
+pub struct TraversalSampler<'a> {
     /// Probability of each edge of each node; the last is the goal.
     pub policy: &'a [Vec<f32>],
-    /// Where each edge leads: a node, or the number of nodes and more for a goal, where a walk
-    /// stays.
+    /// Where each edge leads: a node, or the number of nodes and more for a goal, where a
+    /// traversal stays.
     pub targets: &'a [Vec<f32>],
-    /// Nodes where walks begin, equally likely.
+    /// Nodes where traversals begin, equally likely.
     pub initial: &'a [usize],
 }
 
-impl Walks<'_> {
-    /// Draws walks.
+impl TraversalSampler<'_> {
+    /// Draws traversals: the nodes of each, one a step.
     pub fn draw(&self, count: usize, random: &mut impl Rng) -> Vec<[u32; TRAVERSAL]> {
         (0..count).map(|_| self.one(random)).collect()
     }
@@ -27,17 +27,17 @@ impl Walks<'_> {
                 .initial
                 .first()
                 .copied()
-                .expect("walks begin at one node at least"),
+                .expect("traversals begin at one node at least"),
             many => self
                 .initial
                 .get(random.random_range(0..many))
                 .copied()
                 .expect("the draw is below the count"),
         };
-        let mut walk = [first as u32; TRAVERSAL];
+        let mut traversal = [first as u32; TRAVERSAL];
         for step in 1..TRAVERSAL {
-            let node = walk[step - 1];
-            walk[step] = match (
+            let node = traversal[step - 1];
+            traversal[step] = match (
                 self.policy.get(node as usize),
                 self.targets.get(node as usize),
             ) {
@@ -47,7 +47,7 @@ impl Walks<'_> {
                 _ => node,
             };
         }
-        walk
+        traversal
     }
 }
 

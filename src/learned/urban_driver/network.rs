@@ -18,7 +18,7 @@ const HEADS: usize = 8;
 const POSITIONS: usize = 5000;
 /// Elements whose layers are computed one after the other, while their points are in the
 /// second-level cache.
-const PIECE: usize = 12;
+const CACHED_ELEMENTS: usize = 12;
 /// Rows of the table of element kinds; the last is unused.
 const KIND_ROWS: usize = 11;
 /// ε of the normalization of elements (PyTorch's `normalize`).
@@ -153,7 +153,7 @@ impl UrbanDriver {
         };
         // Pieces stay in the cache through all layers, and threads share them.
         let pieces = places
-            .par_chunks(PIECE)
+            .par_chunks(CACHED_ELEMENTS)
             .map(piece)
             .collect::<Result<Vec<_>>>()?;
         zeros.index_add(

@@ -135,7 +135,7 @@ struct Memory {
 
 impl Recurrence for Memory {
     fn state(&self) -> usize {
-        self.taps.kept() + self.rule.state()
+        self.taps.state_numbers() + self.rule.state()
     }
 
     fn row(&self) -> usize {
@@ -147,7 +147,7 @@ impl Recurrence for Memory {
     }
 
     fn run(&self, state: &mut [f32], rows: &[f32], out: &mut [f32]) {
-        let (earlier, matrices) = state.split_at_mut(self.taps.kept());
+        let (earlier, matrices) = state.split_at_mut(self.taps.state_numbers());
         let mut convolved = rows.to_vec();
         let channels = self.rule.heads().channels();
         let both = rows.chunks_exact(self.row());

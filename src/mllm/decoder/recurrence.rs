@@ -33,7 +33,7 @@ pub(super) struct Recurrent {
     now: Arc<Vec<f32>>,
     len: usize,
     /// States by their positions, ascending. That at 0 is no entry.
-    kept: Vec<(usize, Arc<Vec<f32>>)>,
+    saved_states: Vec<(usize, Arc<Vec<f32>>)>,
     /// The rows of the positions from `recent_start` on, whose state is kept.
     recent: Arc<Vec<f32>>,
     recent_start: usize,
@@ -45,7 +45,7 @@ impl Recurrent {
             now: Arc::new(vec![0.0; rule.state()]),
             rule,
             len: 0,
-            kept: Vec::new(),
+            saved_states: Vec::new(),
             recent: Arc::default(),
             recent_start: 0,
         }
@@ -98,18 +98,23 @@ impl Recurrent {
 
     /// Keeps the state as it is now, and forgets those that nothing goes back to.
     pub(super) fn keep(&mut self, marks: &[usize]) {
-        if self.len > 0 && self.kept.last().is_none_or(|(at, _)| *at < self.len) {
-            self.kept.push((self.len, Arc::clone(&self.now)));
+        if self.len > 0
+            && self
+                .saved_states
+                .last()
+                .is_none_or(|(at, _)| *at < self.len)
+        {
+            self.saved_states.push((self.len, Arc::clone(&self.now)));
         }
         let far = |at: &usize| *at + 2 * EVERY <= self.len;
-        let start = self.kept.iter().map(|(at, _)| *at).rfind(far);
+        let start = self.saved_states.iter().map(|(at, _)| *at).rfind(far);
         if let Some(start) = start.filter(|start| *start > self.recent_start) {
             let rows = (start - self.recent_start) * self.rule.row();
             Arc::make_mut(&mut self.recent).drain(..rows);
             self.recent_start = start;
         }
         let recent = self.recent_start;
-        self.kept
+        self.saved_states
             .retain(|(at, _)| *at >= recent || marks.contains(at));
     }
 
@@ -121,7 +126,7 @@ impl Recurrent {
         if len >= last.max(self.recent_start) {
             return len;
         }
-        let mut before = self.kept.iter().map(|(at, _)| *at);
+        let mut before = self.saved_states.iter().map(|(at, _)| *at);
         before
             .rfind(|at| *at <= len && marks.contains(at))
             .unwrap_or(0)
@@ -132,8 +137,8 @@ impl Recurrent {
         if len >= self.len {
             return;
         }
-        self.kept.retain(|(at, _)| *at <= len);
-        let (from, state) = match self.kept.last() {
+        self.saved_states.retain(|(at, _)| *at <= len);
+        let (from, state) = match self.saved_states.last() {
             Some((at, state)) => (*at, Arc::clone(state)),
             None => (0, Arc::new(vec![0.0; self.rule.state()])),
         };

@@ -62,14 +62,14 @@ impl Taps {
     }
 
     /// Numbers of the rows that it keeps.
-    pub(super) fn kept(&self) -> usize {
+    pub(super) fn state_numbers(&self) -> usize {
         self.weights.len().saturating_sub(self.channels)
     }
 }
 
 impl Recurrence for Taps {
     fn state(&self) -> usize {
-        self.kept()
+        self.state_numbers()
     }
 
     fn row(&self) -> usize {

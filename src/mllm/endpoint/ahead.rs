@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 /// Time for what follows a complete answer: the counts of tokens, and the end marker. Some servers
 /// send neither, and leave the connection open.
 const MAX_AFTER_ANSWER: Duration = Duration::from_secs(1);
-/// Bytes that are read at once, and pieces that may wait for the reader.
-const PIECE: usize = 8192;
-const WAITING: usize = 64;
+/// Bytes that are read at once.
+const READ_BYTES: usize = 8192;
+/// Pieces that may wait for the reader.
+const MAX_WAITING_PIECES: usize = 64;
 
 pub(super) struct Ahead {
     pieces: Receiver<io::Result<Vec<u8>>>,
@@ -27,7 +28,7 @@ impl Ahead {
     /// Reads a response in a thread of its own. The thread ends with the response, which has a time
     /// limit. It also ends with the first piece after this value is dropped.
     pub(super) fn new(response: impl Read + Send + 'static) -> Self {
-        let (sender, pieces) = sync_channel(WAITING);
+        let (sender, pieces) = sync_channel(MAX_WAITING_PIECES);
         let failure = sender.clone();
         let thread = std::thread::Builder::new().name("planagent-reply".to_owned());
         if let Err(error) = thread.spawn(move || send_pieces(response, &sender)) {
@@ -61,7 +62,7 @@ impl Ahead {
 }
 
 fn send_pieces(mut response: impl Read, sender: &SyncSender<io::Result<Vec<u8>>>) {
-    let mut buffer = vec![0; PIECE];
+    let mut buffer = vec![0; READ_BYTES];
     loop {
         let piece = match response.read(&mut buffer) {
             Ok(0) => return,

@@ -11,7 +11,7 @@ use std::io::{self, Cursor, Read};
 type Bytes = Box<dyn Read + Send>;
 
 /// Bytes that brotli reads at once.
-const PIECE: usize = 4096;
+const BROTLI_BUFFER: usize = 4096;
 /// Largest window of zstd, as a power of two: that of RFC 9659, 8 MiB.
 const MAX_WINDOW_LOG: u32 = 23;
 /// Most compressions one over the other.
@@ -45,7 +45,7 @@ fn without(names: &str, bytes: impl Read + Send + 'static) -> Result<Bytes, Endp
                 bytes: plain,
                 named: true,
             }),
-            "br" => Box::new(Decompressor::new(plain, PIECE)),
+            "br" => Box::new(Decompressor::new(plain, BROTLI_BUFFER)),
             "zstd" => zstd_of(plain).map_err(|_| unknown(names))?,
             _ => return Err(unknown(names)),
         };

@@ -95,7 +95,7 @@ impl ExecCommand {
             return Err(ExecError::Name(name));
         }
         Ok(Self {
-            name: PlannerName::new(kept(name)),
+            name: PlannerName::new(interned(name)),
             command: command.to_owned(),
         })
     }
@@ -141,8 +141,8 @@ fn default_name(command: &str) -> String {
         .collect()
 }
 
-/// The text as names hold it. Each is kept once, as long as the process lives; there are few.
-pub fn kept(name: String) -> &'static str {
+/// The text as names hold it: each text once, as long as the process lives. There are few.
+pub fn interned(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(known) = names.get(name.as_str()) {

@@ -68,14 +68,14 @@ fn in_text(rest: &str, first: char) -> (Cow<'_, str>, usize) {
     if first != '\\' {
         return (first.to_string().into(), first.len_utf8());
     }
-    let kept = |length: usize| (rest.get(..length).unwrap_or("").into(), length);
+    let verbatim = |length: usize| (rest.get(..length).unwrap_or("").into(), length);
     match rest.as_bytes().get(1) {
         Some(b'u') => match (unit(rest), unit(rest.get(6..).unwrap_or(""))) {
-            (Some(0xd800..=0xdbff), Some(0xdc00..=0xdfff)) => kept(12),
+            (Some(0xd800..=0xdbff), Some(0xdc00..=0xdfff)) => verbatim(12),
             (Some(0xd800..=0xdfff), _) => (UNREADABLE.into(), 6),
-            _ => kept(2),
+            _ => verbatim(2),
         },
-        Some(b'"' | b'\\' | b'/' | b'b' | b'f' | b'n' | b'r' | b't') => kept(2),
+        Some(b'"' | b'\\' | b'/' | b'b' | b'f' | b'n' | b'r' | b't') => verbatim(2),
         // JSON knows no other escapes, and writers who do mean the character alone.
         _ => ("".into(), 1),
     }
