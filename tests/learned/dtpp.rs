@@ -3,10 +3,9 @@
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
-    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers,
-    vectors,
+    NETWORK, Vectors, assert_close, assert_manifest, comparison, fixture, input, json, network,
+    numbers,
 };
-use crate::outside::Needy;
 use candle_core::{Device, Tensor};
 use planagent_learned::Probe;
 use planagent_learned::dtpp::{
@@ -78,6 +77,7 @@ fn check(
     file: &Vectors,
     name: &str,
 ) {
+    let close = comparison(name);
     let probe = Probe::on();
     let outputs = network.forward(scene, tree, steps, &probe).unwrap();
     for mid in [
@@ -90,7 +90,7 @@ fn check(
     ] {
         let expected = format!("mid.{mid}");
         if file.names().any(|name| name == expected) {
-            assert_close(
+            close(
                 &format!("{name} {mid}"),
                 &probe.get(mid).unwrap(),
                 file.get(&expected),
@@ -105,7 +105,7 @@ fn check(
     ] {
         let expected = format!("mid.{mid}");
         if batch == 1 && file.names().any(|name| name == expected) {
-            assert_close(
+            close(
                 &format!("{name} {mid}"),
                 &probe.get(mid).unwrap(),
                 file.get(&expected),
@@ -120,32 +120,32 @@ fn check(
         .unwrap()
         .squeeze(1)
         .unwrap();
-    assert_close(
+    close(
         &format!("{name} collision"),
         &near,
         file.get("mid.collision_branch0"),
         NETWORK,
     );
-    assert_close(
+    close(
         &format!("{name} futures"),
         &outputs.futures,
         file.get("out.agent_trajectories"),
         NETWORK,
     );
-    assert_close(
+    close(
         &format!("{name} weights"),
         &outputs.weights,
         file.get("out.weights"),
         NETWORK,
     );
-    assert_close(
+    close(
         &format!("{name} ego"),
         &outputs.regularization,
         file.get("out.ego_regularization"),
         NETWORK,
     );
     let finite = |scores: &Tensor| scores.maximum(-1e9f64).unwrap();
-    assert_close(
+    close(
         &format!("{name} scores"),
         &finite(&outputs.scores),
         &finite(file.get("out.scores")),
@@ -164,11 +164,11 @@ fn the_tiny_network_computes_what_pytorch_computes() {
 }
 
 #[test]
-fn the_full_network_computes_what_pytorch_computes() -> Needy {
+fn the_full_network_computes_what_pytorch_computes() {
     let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     for steps in [30, 80] {
         let name = format!("dtpp_full.random_b1_t{steps}");
-        let path = vectors(&format!("dtpp/{name}.io.safetensors"))?;
+        let path = fixture(&format!("dtpp/{name}.io.safetensors"));
         check(
             &network,
             &random_inputs(steps),
@@ -177,7 +177,6 @@ fn the_full_network_computes_what_pytorch_computes() -> Needy {
             &name,
         );
     }
-    Ok(())
 }
 
 #[test]

@@ -2,10 +2,9 @@
 
 use super::scene::scene;
 use super::vectors::{
-    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network,
-    numbers, vectors,
+    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, comparison, fixture, input, json,
+    network, numbers,
 };
-use crate::outside::Needy;
 use candle_core::Tensor;
 use planagent_learned::Probe;
 use planagent_learned::gameformer::{
@@ -80,10 +79,11 @@ fn well_conditioned(name: &str, tensor: &Tensor) -> Tensor {
 }
 
 fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Vectors, name: &str) {
+    let close = comparison(name);
     let probe = Probe::on();
     let outputs = network.forward(scene, route, &probe).unwrap();
     let later = |what: &str, found: &Tensor, expected: &Tensor| {
-        assert_close(
+        close(
             &format!("{name} {what}"),
             &well_conditioned(name, found),
             &well_conditioned(name, expected),
@@ -96,7 +96,7 @@ fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Ve
         "encoder.fusion_encoder",
     ] {
         if let Some(expected) = file.find(&format!("mid.{mid}")) {
-            assert_close(
+            close(
                 &format!("{name} {mid}"),
                 &probe.get(mid).unwrap(),
                 expected,
@@ -116,7 +116,7 @@ fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Ve
     }
     let points = probe.get("encoder.lane_encoder.point_net").unwrap();
     let points = points.narrow(0, 0, 1).unwrap().narrow(1, 0, 2).unwrap();
-    assert_close(
+    close(
         &format!("{name} points"),
         &points,
         file.get("mid.encoder.lane_encoder.point_net"),
@@ -142,13 +142,13 @@ fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Ve
     for (level, (futures, scores)) in outputs.levels.iter().enumerate() {
         let expected = |what: &str| file.get(&format!("out.level_{level}_{what}"));
         if level == 0 {
-            assert_close(
+            close(
                 &format!("{name} futures 0"),
                 futures,
                 expected("interactions"),
                 NETWORK,
             );
-            assert_close(
+            close(
                 &format!("{name} scores 0"),
                 scores,
                 expected("scores"),
@@ -199,12 +199,12 @@ fn scene_inputs(source: &str, file: &Vectors) -> (SceneInputs, Tensor) {
 }
 
 #[test]
-fn the_full_network_computes_what_pytorch_computes() -> Needy {
+fn the_full_network_computes_what_pytorch_computes() {
     let network = network(|weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
     for source in ["random", "scene_a", "scene_b"] {
-        let path = vectors(&format!(
+        let path = fixture(&format!(
             "gameformer/gameformer_full.{source}.io.safetensors"
-        ))?;
+        ));
         let given = match source {
             "random" => random_inputs(),
             _ => inputs(&Vectors::open(&fixture(&format!(
@@ -218,7 +218,6 @@ fn the_full_network_computes_what_pytorch_computes() -> Needy {
             &format!("gameformer_full.{source}"),
         );
     }
-    Ok(())
 }
 
 #[test]

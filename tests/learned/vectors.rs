@@ -1,7 +1,6 @@
 //! Reads the vectors of the learned planners and compares tensors with them.
 //! `tests/fixtures/learned/README.md` says what they are.
 
-use crate::outside::{Missing, data};
 use candle_core::{DType, Device, Tensor};
 use planagent_learned::Weights;
 use safetensors::{Dtype, SafeTensors};
@@ -19,11 +18,6 @@ pub(super) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/fixtures/learned")
         .join(name)
-}
-
-/// A file of the data folder.
-pub(super) fn vectors(name: &str) -> Result<PathBuf, Missing> {
-    data(&format!("vectors/learned/{name}"))
 }
 
 pub(super) fn json(name: &str) -> Value {
@@ -142,6 +136,30 @@ pub(super) fn assert_close(what: &str, found: &Tensor, expected: &Tensor, tolera
         deviation <= tolerance,
         "{what}: {found} instead of {expected} at {at} (deviation {deviation:e})"
     );
+}
+
+/// As [`assert_close`], where a file of a network of the published size keeps every n-th entry along
+/// an axis (`tests/fixtures/learned/thin.py`).
+pub(super) fn assert_close_thinned(what: &str, found: &Tensor, expected: &Tensor, tolerance: f32) {
+    let mut found = found.clone();
+    for (axis, &kept) in expected.dims().iter().enumerate() {
+        let size = found.dim(axis).unwrap();
+        if kept < size && size % kept == 0 {
+            let step = (size / kept) as u32;
+            let places = Tensor::arange_step(0, size as u32, step, &Device::Cpu).unwrap();
+            found = found.index_select(&places, axis).unwrap();
+        }
+    }
+    assert_close(what, &found, expected, tolerance);
+}
+
+/// How tensors are compared with a file of this name.
+pub(super) fn comparison(name: &str) -> fn(&str, &Tensor, &Tensor, f32) {
+    if name.contains("_full") {
+        assert_close_thinned
+    } else {
+        assert_close
+    }
 }
 
 /// Weights by the recipe of the vectors: a generated number for each name and place.
