@@ -28,7 +28,9 @@ mod streams;
 mod teach;
 mod wild;
 
-use crate::outside::{Missing, Needy, data};
+use crate::agent::scenario;
+use crate::outside::{Needy, data};
+use crate::womd::written;
 use assert_cmd::Command;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -80,11 +82,6 @@ pub(crate) fn refused(arguments: &[&str]) -> String {
 
 pub(crate) fn read_json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
-}
-
-/// The folder of recordings.
-fn recordings() -> Result<PathBuf, Missing> {
-    data("womd")
 }
 
 fn simulated(out: &Path, threads: &str) -> Vec<u8> {
@@ -663,9 +660,8 @@ fn broken_checkpoints_are_refused() {
 }
 
 #[test]
-fn broken_recordings_are_refused() -> Needy {
-    let folder = recordings()?;
-    let whole = fs::read(folder.join("8799c31b5be1f312.tfrecord")).unwrap();
+fn broken_recordings_are_refused() {
+    let whole = written::bytes(&scenario(SCENE));
     let work = TempDir::new().unwrap();
     let broken = work.path().join("broken.tfrecord");
     let name = broken.to_str().unwrap();
@@ -681,12 +677,10 @@ fn broken_recordings_are_refused() -> Needy {
         checksum.to_lowercase().contains("crc") || checksum.contains("checksum"),
         "{checksum}"
     );
-    Ok(())
 }
 
-/// Simulates every recording; gives the rows of the summary.
-fn simulate_recordings(flags: &[&str]) -> Result<Vec<Value>, Missing> {
-    let folder = recordings()?;
+/// Simulates every recording of a folder; gives the rows of the summary.
+fn simulate_recordings(folder: &Path, flags: &[&str]) -> Vec<Value> {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
     let arguments = [
@@ -702,22 +696,18 @@ fn simulate_recordings(flags: &[&str]) -> Result<Vec<Value>, Missing> {
         .as_array()
         .unwrap()
         .clone();
-    assert!(rows.len() >= 11, "{} recordings", rows.len());
-    Ok(rows)
+    assert!(!rows.is_empty());
+    rows
 }
 
-#[test]
-fn log_replay_keeps_to_road_and_direction_on_every_recording() -> Needy {
-    for row in simulate_recordings(&["--planner", "log-replay"])? {
+/// Log replay keeps to road and direction, and PlanAgent plans.
+fn check_simulated(folder: &Path) -> usize {
+    let replayed = simulate_recordings(folder, &["--planner", "log-replay"]);
+    for row in &replayed {
         assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
         assert_eq!(row["driving_direction_compliance"], 1.0, "{row}");
     }
-    Ok(())
-}
-
-#[test]
-fn plan_agent_simulates_every_recording() -> Needy {
-    for row in simulate_recordings(&["--challenge", "both"])? {
+    for row in simulate_recordings(folder, &["--challenge", "both"]) {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
         let score = row["score"].as_f64().unwrap();
         assert_eq!(
@@ -726,6 +716,26 @@ fn plan_agent_simulates_every_recording() -> Needy {
             "{row}"
         );
     }
+    replayed.len()
+}
+
+#[test]
+fn written_recordings_are_simulated() {
+    let folder = TempDir::new().unwrap();
+    for (file, scene) in [
+        ("one", SCENE),
+        ("two", "generated/starting_right_turn/1"),
+        ("three", "generated/traversing_intersection/1"),
+    ] {
+        written::write(&folder.path().join(format!("{file}.tfrecord")), scene);
+    }
+    assert_eq!(check_simulated(folder.path()), 3);
+}
+
+#[test]
+fn every_recording_is_simulated() -> Needy {
+    let recordings = check_simulated(&data("womd")?);
+    assert!(recordings >= 11, "{recordings} recordings");
     Ok(())
 }
 

@@ -2,8 +2,10 @@
 //! forever or is written over.
 
 use super::{SCENE, refused, run};
+use crate::agent::scenario;
 use crate::endpoint::server::{Server, stream};
-use crate::outside::{Needy, data};
+use crate::womd::written;
+use planagent_scenario::Scenario;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -152,10 +154,15 @@ fn tables_of_markdown_and_csv_hold_text_and_nothing_else() {
 }
 
 #[test]
-fn control_characters_of_a_recording_are_shown() -> Needy {
-    let recording = data("hostile/evil.tfrecord")?;
-    let recording = recording.to_str().unwrap();
+fn control_characters_of_a_recording_are_shown() {
     let work = TempDir::new().unwrap();
+    let recording = work.path().join("recording.tfrecord");
+    let scene = Scenario {
+        id: HOSTILE.to_owned(),
+        ..scenario(SCENE)
+    };
+    fs::write(&recording, written::bytes(&scene)).unwrap();
+    let recording = recording.to_str().unwrap();
     let out = work.path().join("run");
     let pictures = work.path().join("pictures");
     let (out, pictures) = (out.to_str().unwrap(), pictures.to_str().unwrap());
@@ -198,7 +205,6 @@ fn control_characters_of_a_recording_are_shown() -> Needy {
         "{}",
         unknown.escape_debug()
     );
-    Ok(())
 }
 
 #[test]
@@ -233,7 +239,7 @@ fn a_huge_file_of_settings_is_refused_by_its_size_and_a_long_line_is_cut() {
 
 #[cfg(unix)]
 mod unix {
-    use super::{Needy, QUICK, data, quick_run, refused, run};
+    use super::{QUICK, SCENE, quick_run, refused, run, written};
     use std::ffi::OsStr;
     use std::fs;
     use std::os::unix::ffi::OsStrExt;
@@ -350,12 +356,11 @@ mod unix {
     }
 
     #[test]
-    fn a_path_that_is_not_utf_8_can_be_used() -> Needy {
-        let recordings = data("womd")?;
+    fn a_path_that_is_not_utf_8_can_be_used() {
         let work = TempDir::new().unwrap();
         let name = |bytes: &[u8]| work.path().join(OsStr::from_bytes(bytes));
         let (recording, out) = (name(b"r\xff\x80.tfrecord"), name(b"run-\xe6"));
-        fs::copy(recordings.join("eb4b91b10ca94ff2.tfrecord"), &recording).unwrap();
+        written::write(&recording, SCENE);
         let program = |arguments: &[&OsStr]| {
             let output = crate::cli::planagent().args(arguments).output().unwrap();
             (
@@ -382,6 +387,5 @@ mod unix {
         assert!(code == 0 && out.join("report.html").is_file(), "{stderr}");
         let (code, stderr) = program(&[os("scenarios"), os("list"), work.path().as_os_str()]);
         assert_eq!(code, 0, "{stderr}");
-        Ok(())
     }
 }

@@ -1,9 +1,11 @@
 //! Scenarios as they are listed and shown, instants, pictures and numbers.
 
-use super::{SCENE, recordings, refused, run};
-use crate::outside::{Missing, Needy, data};
+use super::{SCENE, refused, run};
+use crate::argoverse2::all_logs;
+use crate::outside::Needy;
+use crate::womd::written;
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use tempfile::TempDir;
 
 /// The lines of JSON that a command prints.
@@ -14,28 +16,6 @@ fn told(arguments: &[&str]) -> Vec<Value> {
         .lines()
         .map(|line| serde_json::from_str(line).unwrap())
         .collect()
-}
-
-/// A recording of each kind.
-fn some_recordings() -> Result<Vec<PathBuf>, Missing> {
-    let first = |folder: PathBuf| {
-        std::fs::read_dir(folder)
-            .unwrap()
-            .next()
-            .unwrap()
-            .unwrap()
-            .path()
-    };
-    let [sensor, motion] = [
-        data("argoverse2/sensor")?,
-        data("argoverse2/motion_forecasting")?,
-    ]
-    .map(first);
-    Ok(vec![
-        recordings()?.join("eb4b91b10ca94ff2.tfrecord"),
-        sensor,
-        motion,
-    ])
 }
 
 /// What `list` and `show` say of a word agrees; `list` opens files of recordings, and then knows
@@ -69,9 +49,17 @@ fn list_and_show_tell_the_same_under_the_same_names() {
 }
 
 #[test]
-fn list_and_show_tell_the_same_of_recordings() -> Needy {
-    for recording in some_recordings()? {
-        tell_the_same(recording.to_str().unwrap(), &["iterations", "lanes"]);
+fn list_and_show_tell_the_same_of_a_recording() {
+    let work = TempDir::new().unwrap();
+    let recording = work.path().join("recording.tfrecord");
+    written::write(&recording, SCENE);
+    tell_the_same(recording.to_str().unwrap(), &["iterations", "lanes"]);
+}
+
+#[test]
+fn list_and_show_tell_the_same_of_logs_of_argoverse2() -> Needy {
+    for log in all_logs()? {
+        tell_the_same(log.to_str().unwrap(), &["iterations", "lanes"]);
     }
     Ok(())
 }

@@ -5,7 +5,8 @@
 
 use super::text::{DocumentedCommand, commands};
 use super::{docs, name, read, root};
-use crate::outside::{Missing, Needy, data, program, python};
+use crate::outside::{Missing, Needy, program, python};
+use crate::womd::written;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -450,7 +451,6 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
 fn lack(command: &str) -> Option<Missing> {
     let needs = |words: &[&str]| words.iter().any(|word| command.contains(word));
     let found = [
-        needs(&["$PLANAGENT_DATA", ".tfrecord"]).then(|| data("womd").err()),
         needs(&["exec:"]).then(|| python(&[]).err()),
         needs(&["--mp4"]).then(|| program(&["ffmpeg"]).err()),
     ];
@@ -522,10 +522,9 @@ fn given(page: &str, folder: &Path) {
                 block.split_once("```").unwrap().0,
             )
             .unwrap();
-            let recording = "motion_data_one_scenario.tfrecord";
-            if let Ok(file) = data(&format!("womd/{recording}")) {
-                fs::copy(file, folder.join(recording)).unwrap();
-            }
+            // In the place of Waymo's file, which is not part of the project.
+            let recording = folder.join("motion_data_one_scenario.tfrecord");
+            written::write(&recording, "generated/changing_lane/3");
         }
         "docs/exec.md" => {
             copy(&root().join("examples"), &folder.join("examples"));
@@ -559,9 +558,10 @@ fn given(page: &str, folder: &Path) {
             .unwrap();
         }
         "docs/nuplan.md" => {
-            if let Ok(recording) = data("womd/eb4b91b10ca94ff2.tfrecord") {
-                fs::copy(recording, folder.join("recording.tfrecord")).unwrap();
-            }
+            written::write(
+                &folder.join("recording.tfrecord"),
+                "generated/changing_lane/3",
+            );
         }
         "docs/models.md" => {
             copy(&root().join("models/nano"), &folder.join("my_model"));
@@ -570,11 +570,13 @@ fn given(page: &str, folder: &Path) {
             copy(&root().join("prompts/compact"), &folder.join("my_prompts"));
         }
         "docs/runs.md" => {
-            if let Ok(womd) = data("womd") {
-                fs::create_dir_all(folder.join("recordings/womd")).unwrap();
-                for file in ["61fa872f2d274223.tfrecord", "eb4b91b10ca94ff2.tfrecord"] {
-                    fs::copy(womd.join(file), folder.join("recordings/womd").join(file)).unwrap();
-                }
+            let recordings = folder.join("recordings/womd");
+            fs::create_dir_all(&recordings).unwrap();
+            for (file, scene) in [
+                ("one", "generated/changing_lane/3"),
+                ("two", "generated/stopping_with_lead/1"),
+            ] {
+                written::write(&recordings.join(format!("{file}.tfrecord")), scene);
             }
         }
         _ => {}

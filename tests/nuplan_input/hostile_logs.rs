@@ -3,7 +3,6 @@
 
 use super::fixture::{DataSet, run};
 use crate::cli;
-use crate::outside::{Needy, data};
 use planagent_scenario::nuplan::ScenarioFilter;
 use std::fs;
 use std::time::{Duration, Instant};
@@ -11,12 +10,19 @@ use std::time::{Duration, Instant};
 /// Time in which a hostile log of some hundred kilobytes is refused, on a busy machine.
 const PATIENCE: Duration = Duration::from_mins(1);
 
+/// Puts a view without end in the place of a table.
+fn endless_view() -> String {
+    let endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)";
+    format!(
+        "ALTER TABLE lidar_pc RENAME TO old; CREATE VIEW lidar_pc AS {endless} SELECT old.* FROM old, n"
+    )
+}
+
 #[test]
 fn views_and_virtual_tables_are_no_tables() {
-    let endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)";
     for (sql, parts) in [
         (
-            format!("ALTER TABLE lidar_pc RENAME TO old; CREATE VIEW lidar_pc AS {endless} SELECT old.* FROM old, n"),
+            endless_view(),
             ["lidar_pc is a view and no table", ".db"],
         ),
         (
@@ -138,12 +144,11 @@ fn a_bad_log_hides_no_log_beside_it() {
 }
 
 #[test]
-fn an_endless_log_hides_no_log_beside_it() -> Needy {
-    let endless = data("hostile/view_loop_lidar_pc.db")?;
+fn an_endless_log_hides_no_log_beside_it() {
+    let endless = DataSet::log_with(&endless_view());
     let set = DataSet::new();
-    fs::copy(endless, set.log.with_file_name("endless.db")).unwrap();
+    fs::copy(&endless.log, set.log.with_file_name("endless.db")).unwrap();
     hides_no_log(&set);
-    Ok(())
 }
 
 /// The log of the set is listed beside bad ones, of which each is an error.

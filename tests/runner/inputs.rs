@@ -1,8 +1,9 @@
 //! A run is resumed only with the prompts, model files and recordings that it was started with.
 
 use super::simulations;
+use crate::agent::scenario;
 use crate::cli::{refused, run};
-use crate::outside::{Needy, data};
+use crate::womd::written;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, serialize_to_file};
 use std::fs;
@@ -153,18 +154,15 @@ fn another_adapter_is_named_and_must_be_accepted() {
 }
 
 #[test]
-fn another_recording_under_the_same_name_is_refused() -> Needy {
-    let recordings = data("womd")?;
+fn another_recording_under_the_same_name_is_refused() {
     let work = TempDir::new().unwrap();
     let (out, recording) = (
         work.path().join("run"),
         work.path().join("recording.tfrecord"),
     );
     let folder = out.to_str().unwrap();
-    let [one, other] = ["eb4b91b10ca94ff2", "1446dc44bd6fd420"].map(|id| {
-        let path = recordings.join(format!("{id}.tfrecord"));
-        fs::read(path).unwrap()
-    });
+    let [one, other] = ["generated/changing_lane/3", "generated/changing_lane/2"]
+        .map(|scene| written::bytes(&scenario(scene)));
     fs::write(&recording, &one).unwrap();
     let flags = [
         "simulate",
@@ -203,7 +201,6 @@ fn another_recording_under_the_same_name_is_refused() -> Needy {
         code == 0 && stderr.contains("1 simulations of this run, which had ended, have no folder"),
         "{stderr}"
     );
-    Ok(())
 }
 
 #[test]
