@@ -293,8 +293,8 @@ pub(crate) enum OtherEngine {
     /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,
-    /// OpenVINO's runtime with models that optimum-intel exports: llava, smolvlm, and language
-    /// models.
+    /// OpenVINO's runtime with models that optimum-intel exports: llava, smolvlm, qwen3-vl, and
+    /// language models.
     #[value(name = "openvino")]
     OpenVino,
     /// candle-transformers' own llama, qwen2, qwen3 and gemma3, for language models in folders and
