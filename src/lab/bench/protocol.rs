@@ -117,7 +117,7 @@ pub enum Precision {
 }
 
 impl Precision {
-    pub const ALL: [Self; 4] = [Self::F32, Self::Bf16, Self::Int8, Self::Int4];
+    pub(crate) const ALL: [Self; 4] = [Self::F32, Self::Bf16, Self::Int8, Self::Int4];
 
     fn name(self) -> &'static str {
         match self {
@@ -135,17 +135,12 @@ impl fmt::Display for Precision {
     }
 }
 
-/// A word that is no precision.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is no precision; f32, bf16, int8 and int4 are")]
-pub struct UnknownPrecision(String);
-
 impl FromStr for Precision {
-    type Err = UnknownPrecision;
+    type Err = String;
 
-    fn from_str(name: &str) -> Result<Self, UnknownPrecision> {
+    fn from_str(name: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|all| all.name() == name);
-        found.ok_or_else(|| UnknownPrecision(name.to_owned()))
+        found.ok_or_else(|| format!("'{name}' is no precision; f32, bf16, int8 and int4 are"))
     }
 }
 

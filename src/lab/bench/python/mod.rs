@@ -12,7 +12,7 @@ pub struct PythonEngine {
     /// Its code behind the protocol.
     code: &'static str,
     /// The Python package that is installed for it.
-    pub package: &'static str,
+    pub(crate) package: &'static str,
     /// The environment variable that names an interpreter with the package.
     pub variable: &'static str,
 }
