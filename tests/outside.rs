@@ -34,6 +34,12 @@ pub(crate) fn llama_python(packages: &[&str]) -> Result<String, Missing> {
     interpreter("PLANAGENT_LLAMA_PYTHON", packages)
 }
 
+/// A Python with OpenVINO: `$PLANAGENT_OPENVINO_PYTHON`, else `python3`.
+#[cfg(unix)]
+pub(crate) fn openvino_python(packages: &[&str]) -> Result<String, Missing> {
+    interpreter("PLANAGENT_OPENVINO_PYTHON", packages)
+}
+
 fn interpreter(variable: &str, packages: &[&str]) -> Result<String, Missing> {
     let named = std::env::var(variable).unwrap_or_else(|_| "python3".to_owned());
     let imports: Vec<String> = packages

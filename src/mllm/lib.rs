@@ -77,7 +77,7 @@ pub use decoder::{DecoderCache, DecoderInput, LanguageModel, Logits, Position};
 pub use endpoint::Endpoint;
 pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
-pub use export::{CreateFile, GgufPart, export_model};
+pub use export::{CreateFile, GgufPart, export_model, small_files};
 pub use families::{Architecture, Families};
 pub use family::{
     About, Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageRange, ImageSettings,

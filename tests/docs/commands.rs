@@ -218,6 +218,26 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,llava-1.1b --quantize f32 --calls brief --iterations 1 --weights weights --vs openvino --openvino-python openvino/bin/python --openvino-weights f32",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,llava-1.1b --quantize q8_0 --calls brief --iterations 3 --weights weights --vs openvino --openvino-python openvino/bin/python --openvino-weights int8",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,llava-1.1b --quantize q4_k --calls brief --iterations 3 --weights weights --vs openvino --openvino-python openvino/bin/python --openvino-weights int4 --openvino-tower int8",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench SmolLM2-135M-Instruct.Q4_1.gguf --quantize q8_0 --calls brief --iterations 3 --weights weights --vs openvino --openvino-python openvino/bin/python --trust-model",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),

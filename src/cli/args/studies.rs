@@ -6,6 +6,7 @@ use crate::help;
 use crate::words::path_word;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
+use planagent_lab::bench::protocol::Precision;
 use planagent_lab::dataset::Teacher;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
@@ -248,7 +249,31 @@ pub(crate) struct BenchArguments {
     /// else python3].
     #[arg(long, value_name = "FILE", requires = "vs", hide_short_help = true)]
     pub(crate) llama_python: Option<PathBuf>,
-    /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the
+    /// Python interpreter with the packages openvino, optimum-intel and nncf [default:
+    /// `$PLANAGENT_OPENVINO_PYTHON`, else python3].
+    #[arg(long, value_name = "FILE", requires = "vs", hide_short_help = true)]
+    pub(crate) openvino_python: Option<PathBuf>,
+    /// Precision of OpenVINO's decoders: `f32`, `bf16`, `int8` or `int4`.
+    ///
+    /// With `f32`, its arithmetic is exact, so that logits and pictures can be compared.
+    #[arg(
+        long,
+        value_name = "PRECISION",
+        requires = "vs",
+        default_value_t = Precision::Int8,
+        hide_short_help = true
+    )]
+    pub(crate) openvino_weights: Precision,
+    /// Precision of OpenVINO's vision towers: `f32`, `bf16` or `int8` [default: bf16, and f32 beside
+    /// decoders in f32].
+    #[arg(
+        long,
+        value_name = "PRECISION",
+        requires = "vs",
+        hide_short_help = true
+    )]
+    pub(crate) openvino_tower: Option<Precision>,
+    /// Folder for the files of weights that --vs writes [default: weights in the folder of the
     /// results].
     #[arg(long, value_name = "FOLDER", requires = "vs", hide_short_help = true)]
     pub(crate) weights: Option<PathBuf>,
@@ -268,6 +293,10 @@ pub(crate) enum OtherEngine {
     /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,
+    /// OpenVINO's runtime with models that optimum-intel exports: llava, smolvlm, qwen3-vl, and
+    /// language models.
+    #[value(name = "openvino")]
+    OpenVino,
     /// candle-transformers' own llama, qwen2, qwen3 and gemma3, for language models in folders and
     /// GGUF files.
     #[value(name = "candle")]

@@ -1,6 +1,6 @@
 //! A process that measures one model.
 
-use super::protocol::{LoadRequest, Loaded, Reply, Request};
+use super::protocol::{LoadRequest, Loaded, PrepareRequest, Reply, Request};
 use planagent_child::BoundChild;
 use planagent_mllm::{Limits, Step, StepTime};
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,8 @@ pub enum EngineName {
     PlanAgent,
     #[serde(rename = "llama.cpp")]
     LlamaCpp,
+    #[serde(rename = "openvino")]
+    OpenVino,
     #[serde(rename = "candle")]
     Candle,
 }
@@ -24,6 +26,7 @@ impl fmt::Display for EngineName {
         out.write_str(match self {
             Self::PlanAgent => "planagent",
             Self::LlamaCpp => "llama.cpp",
+            Self::OpenVino => "openvino",
             Self::Candle => "candle",
         })
     }
@@ -85,6 +88,17 @@ impl Engine {
 
     pub fn name(&self) -> EngineName {
         self.name
+    }
+
+    /// Lets the engine write the files that it reads.
+    ///
+    /// # Errors
+    /// When it cannot, or ends.
+    pub fn prepare(&mut self, request: PrepareRequest) -> Result<(), EngineError> {
+        match self.ask(&Request::Prepare(request))? {
+            Reply::Prepared => Ok(()),
+            other => Err(self.invalid(&format!("{other:?}"))),
+        }
     }
 
     pub fn load(&mut self, request: LoadRequest) -> Result<Loaded, EngineError> {

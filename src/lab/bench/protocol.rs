@@ -3,12 +3,17 @@
 use super::budget::Layout;
 use planagent_mllm::{Limits, Step, StepTime, WeightFormat};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Request {
-    /// The first request.
+    /// Writes the files that an engine reads, in a process of its own.
+    Prepare(PrepareRequest),
+    /// The first request of a measurement.
     Load(LoadRequest),
     Run(Vec<Step>),
     /// Computes a prompt alone and continues it with the likeliest tokens.
@@ -64,6 +69,79 @@ pub enum ModelChoice {
     Random(String),
     /// Files that llama.cpp reads too.
     Gguf(GgufPair),
+    /// A folder of safetensors, and what another engine made of it.
+    Exported(ExportedFolder),
+}
+
+/// A model in Hugging Face's layout, and its export for another engine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExportedFolder {
+    /// The folder that this program reads.
+    pub folder: PathBuf,
+    /// The folder that the other engine reads.
+    pub export: PathBuf,
+}
+
+/// What an engine needs to write the files that it reads.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PrepareRequest {
+    /// The model in Hugging Face's layout. Without safetensors, it gets `files` and weights: those
+    /// of `gguf`, else random ones of `seed`.
+    pub folder: PathBuf,
+    /// Texts of the model's small files, by name.
+    pub files: BTreeMap<String, String>,
+    /// The decoder that the weights are from.
+    pub gguf: Option<PathBuf>,
+    /// Where the export goes. A finished one stays. The folder above it keeps what further
+    /// precisions need.
+    pub export: PathBuf,
+    /// Precision of the decoder's weights.
+    pub weights: Precision,
+    /// Precision of the vision tower.
+    pub tower: Precision,
+    pub seed: u64,
+}
+
+/// A precision of another engine's weights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// Also all arithmetic, keys and values.
+    F32,
+    /// Where the processor has it.
+    Bf16,
+    Int8,
+    Int4,
+}
+
+impl Precision {
+    pub(crate) const ALL: [Self; 4] = [Self::F32, Self::Bf16, Self::Int8, Self::Int4];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::Bf16 => "bf16",
+            Self::Int8 => "int8",
+            Self::Int4 => "int4",
+        }
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+impl FromStr for Precision {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|all| all.name() == name);
+        found.ok_or_else(|| format!("'{name}' is no precision; f32, bf16, int8 and int4 are"))
+    }
 }
 
 /// The files of a model for llama.cpp.
@@ -78,6 +156,8 @@ pub struct GgufPair {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reply {
+    /// The files are there.
+    Prepared,
     Loaded(Loaded),
     /// The time of each step.
     Ran(Vec<StepTime>),

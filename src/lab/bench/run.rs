@@ -3,9 +3,9 @@
 use super::agreement::{Agreement, PictureAgreement};
 use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
-use super::llama_cpp::LlamaCpp;
 use super::machine_limits::keep_middle;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
+use super::python::PythonWorker;
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
 use planagent_mllm::{PromptSet, WeightFormat};
@@ -48,8 +48,8 @@ pub struct BenchSettings {
 /// Another engine on the same files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Other {
-    /// It requires that all models are GGUF files.
-    LlamaCpp(LlamaCpp),
+    /// It requires that all models are files that the engine reads.
+    Python(PythonWorker),
     /// candle-transformers' own decoders, in a process of this program that runs
     /// [`serve_candle`](super::serve_candle).
     Candle,
@@ -58,9 +58,7 @@ pub enum Other {
 impl Other {
     fn start(&self, program: &dyn Fn() -> Command) -> Result<Engine, EngineError> {
         match self {
-            Self::LlamaCpp(llama_cpp) => {
-                Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())
-            }
+            Self::Python(worker) => worker.start(),
             Self::Candle => Engine::start(EngineName::Candle, program().arg(CANDLE)),
         }
     }
@@ -196,7 +194,7 @@ impl Bench<'_> {
                         image_tokens,
                     }),
                 )?;
-                // llama.cpp reports these for the decoder only; the files are the same.
+                // The others report these for the decoder only, or not; the weights are the same.
                 theirs.loaded.parameters = ours.loaded.parameters;
                 if theirs.engine.name() == EngineName::LlamaCpp {
                     let format = ours.loaded.weight_format.clone();

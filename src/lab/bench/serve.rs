@@ -2,7 +2,7 @@
 
 use super::budget::Layout;
 use super::candle::{CandleError, CandleProbe};
-use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
+use super::protocol::{ExportedFolder, GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
 use planagent_mllm::{
     LatencyProbe, Limits, MllmError, ModelPlace, ModelRegistry, ModelShape, Step, StepTime,
 };
@@ -142,6 +142,9 @@ fn answer<P: Probe>(
             let (tokens, values) = probe.features(side, most)?;
             Reply::Encoded { tokens, values }
         }
+        (Request::Prepare(_), _) => {
+            Reply::Failed("this program reads all files as they are".into())
+        }
         (Request::Limits, _) => Reply::Limits(Limits::measure()),
         (Request::Run(_) | Request::Answer { .. } | Request::Features { .. }, None) => {
             Reply::Failed("no model is loaded".into())
@@ -177,6 +180,9 @@ fn load(
                 None => ModelPlace::Decoder(decoder.clone()),
             };
             (place, registry.plain_loading())
+        }
+        ModelChoice::Exported(ExportedFolder { folder, .. }) => {
+            (ModelPlace::Folder(folder.clone()), registry.plain_loading())
         }
     };
     loading.image.size = request.image_size.or(loading.image.size);

@@ -34,6 +34,7 @@ use super::text::{special_tokens, template_source};
 use plan::{Heads, Part, Share, tower_names};
 use planagent_kernels::attention::frequency_factors;
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use writer::{Layout, PlannedTensor};
@@ -110,6 +111,20 @@ pub fn export_model(
         out.flush().map_err(failed)?;
     }
     Ok(checkpoint.weights.report().clone())
+}
+
+/// The small files of a model by name: configurations, tokenizer and chat template, also those that
+/// are made from the metadata of a GGUF file or of a shape.
+///
+/// # Errors
+/// When the model cannot be opened.
+pub fn small_files(
+    place: &ModelPlace,
+    loading: &Loading,
+) -> Result<BTreeMap<String, String>, MllmError> {
+    let checkpoint = loading.open(place)?;
+    let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
+    Ok(texts(&checkpoint.files, &tokenizer)?.into_iter().collect())
 }
 
 fn parts(
@@ -218,7 +233,12 @@ fn parts(
 }
 
 fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, MllmError> {
-    let mut packed = Vec::new();
+    let entry = |(name, text)| (format!("{FILE}{name}"), json!(text));
+    Ok(texts(files, tokenizer)?.into_iter().map(entry).collect())
+}
+
+fn texts(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Vec<(String, String)>, MllmError> {
+    let mut texts = Vec::new();
     for name in FILES {
         let source = if name.starts_with("tokenizer") {
             tokenizer
@@ -226,8 +246,8 @@ fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, M
             files
         };
         if let Some(text) = source.text(name)? {
-            packed.push((format!("{FILE}{name}"), json!(text)));
+            texts.push((name.to_owned(), text));
         }
     }
-    Ok(packed)
+    Ok(texts)
 }

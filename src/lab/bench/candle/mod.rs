@@ -68,7 +68,7 @@ impl CandleProbe {
                 decoder,
                 projector: None,
             }) => ModelPlace::Decoder(decoder.clone()),
-            ModelChoice::Gguf(_) | ModelChoice::Random(_) => {
+            ModelChoice::Gguf(_) | ModelChoice::Random(_) | ModelChoice::Exported(_) => {
                 let problem = "its decoders read text alone, and from files".to_owned();
                 return Err(CandleError::Unsupported(problem));
             }

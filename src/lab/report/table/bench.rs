@@ -1,6 +1,6 @@
 //! The tables of a bench.
 
-use crate::bench::{Agreement, EngineName};
+use crate::bench::{Agreement, EngineName, PythonEngine};
 use crate::report::{BenchFigures, Comparison, ModelFigures};
 use planagent_mllm::Limits;
 use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
@@ -198,7 +198,7 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
     text
 }
 
-/// A row for each model and engine; llama.cpp's row follows that of this program.
+/// A row for each model and engine; the other engine's row follows that of this program.
 fn models<'a>(
     figures: &BenchFigures,
     columns: impl IntoIterator<Item = &'a Column>,
@@ -277,9 +277,9 @@ fn other_engine(figures: &BenchFigures) -> String {
         .iter()
         .find(|model| model.about.engine == engine);
     let version = or_dash(other, |model| model.about.loaded.version.clone());
-    match engine {
-        EngineName::Candle => format!("{engine} = {version}"),
-        _ => format!("{engine} = that of llama-cpp-python {version}"),
+    match PythonEngine::find(engine) {
+        None => format!("{engine} = {version}"),
+        Some(python) => format!("{engine} = that of {} {version}", python.package),
     }
 }
 

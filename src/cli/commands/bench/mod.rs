@@ -1,21 +1,21 @@
 //! `planagent bench`.
 
+mod files;
+
 use crate::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
-use crate::commands::models::quantize::write as write_gguf;
 use crate::progress::listener;
 use crate::{Exit, Printer, again, interrupt};
 use anyhow::{Context, bail};
-use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
+use files::OtherFiles;
+use planagent_lab::bench::protocol::{ModelChoice, Precision};
 use planagent_lab::bench::{
-    BenchSettings, CallBudget, Candidate, LlamaCpp, Other, Progress, run as measure, serve,
-    serve_candle,
+    BenchSettings, CallBudget, Candidate, EngineName, Other, Progress, PythonEngine, PythonWorker,
+    run as measure, serve, serve_candle,
 };
 use planagent_lab::report::{
     BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table,
 };
-use planagent_mllm::{
-    GgufPart, ModelPlace, ModelRegistry, ModelShape, ModelSource, PromptSet, Trust, export_model,
-};
+use planagent_mllm::{ModelRegistry, ModelShape, ModelSource, PromptSet, Trust};
 use planagent_runs::report::{ReportError, check_writable, stamp};
 use planagent_runs::runner::{Config, build_commit, cpu, memory, model_registry};
 use serde_json::{Map, Value, json};
@@ -24,9 +24,6 @@ use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
-
-/// Environment variable with the Python interpreter that has llama.cpp.
-const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
 
 /// Measures models. Prints the table and writes all results to a folder. A model that fails is a
 /// row, not an error.
@@ -61,13 +58,25 @@ pub(crate) fn run(
     if flags.vs == Some(OtherEngine::Candle) && config.mllm.quantize.is_some() {
         bail!("--vs candle reads the files as they are; leave out --quantize");
     }
-    if flags.vs == Some(OtherEngine::LlamaCpp) {
+    let versus = other_engine(flags);
+    if let Some(Other::Python(worker)) = &versus {
         let weights = flags
             .weights
             .clone()
             .unwrap_or_else(|| folder.path().join("weights"));
+        let files = OtherFiles {
+            folder: &weights,
+            config,
+            registry: &registry,
+            printer,
+        };
         for candidate in &mut left {
-            *candidate = as_gguf(candidate, &weights, config, &registry, printer)?;
+            *candidate = match flags.vs {
+                Some(OtherEngine::OpenVino) => {
+                    files.export(candidate, worker, precisions(flags)?)?
+                }
+                _ => files.gguf(candidate)?,
+            };
         }
     }
     let settings = BenchSettings {
@@ -77,7 +86,7 @@ pub(crate) fn run(
         seed: config.seed,
         weight_format: config.mllm.quantize,
         speculation: flags.speculation,
-        versus: other_engine(flags),
+        versus,
     };
     crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
@@ -311,95 +320,33 @@ fn of_sizes(all: Vec<Candidate>, sizes: &[NonZeroU32]) -> Vec<Candidate> {
         .collect()
 }
 
-/// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
-fn as_gguf(
-    candidate: &Candidate,
-    folder: &Path,
-    config: &Config,
-    registry: &ModelRegistry,
-    printer: Printer,
-) -> anyhow::Result<Candidate> {
-    let (place, loading) = match &candidate.model {
-        ModelChoice::Gguf(_) => return Ok(candidate.clone()),
-        ModelChoice::Named(name) => {
-            let spec = registry.find(name)?;
-            (registry.place(&spec)?, registry.loading(&spec)?)
-        }
-        ModelChoice::Random(shape) => (
-            ModelPlace::Random {
-                shape: ModelShape::find(shape)?,
-                seed: config.seed,
-            },
-            registry.plain_loading(),
-        ),
-    };
-    if loading.adapter.is_some() {
-        bail!(
-            "--vs compares files that both engines read; write the merged model with `planagent models quantize --adapter`, \
-             and name that file"
-        );
-    }
-    let files = |decoder: PathBuf, projector: Option<PathBuf>| Candidate {
-        model: ModelChoice::Gguf(GgufPair { decoder, projector }),
-        ..candidate.clone()
-    };
-    // With a format that is asked for, both engines read a new file in it.
-    if config.mllm.quantize.is_none()
-        && let Some((decoder, projector)) = place.decoder_and_tower()?
-    {
-        return Ok(files(decoder, projector));
-    }
-    // Both engines must read the same numbers.
-    let Some(weight_format) = config.mllm.quantize else {
-        bail!(
-            "--vs needs --quantize, or a model of GGUF files, because both engines must read the same files"
-        );
-    };
-    let decoder = folder.join(format!(
-        "{}-{weight_format}-seed-{}.gguf",
-        candidate.weights, config.seed
-    ));
-    if !decoder.is_file() {
-        printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
-        let (report, _) = write_gguf(&decoder, printer, |create, progress| {
-            export_model(&candidate.weights, &place, &loading, &[], create, progress)
-        })
-        .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
-        // The next lines may refuse the file, and a note says why it is none of llama.cpp.
-        for note in &report.notes {
-            printer.note(format!("{}: {note}", candidate.name));
-        }
-    }
-    let tower = GgufPart::Tower.path(&decoder);
-    let written = ModelPlace::Gguf {
-        model: decoder,
-        mmproj: tower.is_file().then_some(tower),
-    };
-    let Some((decoder, projector)) = written.decoder_and_tower()? else {
-        bail!(
-            "cannot compare {}: this program wrote no pair of llama.cpp's files; name a pair that llama.cpp's converter wrote",
-            candidate.name
-        );
-    };
-    Ok(files(decoder, projector))
-}
-
 /// The engine to compare with, if the flags name one.
 fn other_engine(flags: &BenchArguments) -> Option<Other> {
-    flags.vs.map(|engine| match engine {
-        OtherEngine::Candle => Other::Candle,
-        OtherEngine::LlamaCpp => {
-            let python = flags
-                .llama_python
-                .clone()
-                .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
-            Other::LlamaCpp(LlamaCpp {
-                python: python.unwrap_or_else(|| "python3".into()),
-            })
-        }
-    })
+    let (name, python) = match flags.vs? {
+        OtherEngine::Candle => return Some(Other::Candle),
+        OtherEngine::LlamaCpp => (EngineName::LlamaCpp, &flags.llama_python),
+        OtherEngine::OpenVino => (EngineName::OpenVino, &flags.openvino_python),
+    };
+    let engine = PythonEngine::find(name)?;
+    let python = python
+        .clone()
+        .or_else(|| std::env::var_os(engine.variable).map(PathBuf::from))
+        .unwrap_or_else(|| "python3".into());
+    Some(Other::Python(PythonWorker { engine, python }))
+}
+
+/// The precisions of OpenVINO's decoder and vision tower.
+fn precisions(flags: &BenchArguments) -> anyhow::Result<[Precision; 2]> {
+    let tower = flags
+        .openvino_tower
+        .unwrap_or(match flags.openvino_weights {
+            Precision::F32 => Precision::F32,
+            _ => Precision::Bf16,
+        });
+    if tower == Precision::Int4 {
+        bail!("--openvino-tower int4: optimum-intel gives vision towers f32, bf16 or int8");
+    }
+    Ok([flags.openvino_weights, tower])
 }
 
 fn metadata(
@@ -418,6 +365,10 @@ fn metadata(
             ))
         })
         .collect::<anyhow::Result<_>>()?;
+    let vs_openvino = match flags.vs {
+        Some(OtherEngine::OpenVino) => json!(precisions(flags)?),
+        _ => json!(false),
+    };
     // All that changes a time is written down, so that a bench can be repeated.
     let settings = json!({
         "models": models,
@@ -428,6 +379,7 @@ fn metadata(
         "adapter": config.mllm.adapter,
         "quantize": config.mllm.quantize,
         "vs_llama_cpp": flags.vs == Some(OtherEngine::LlamaCpp),
+        "vs_openvino": vs_openvino,
         "vs_candle": flags.vs == Some(OtherEngine::Candle),
         "speculation": flags.speculation,
     });

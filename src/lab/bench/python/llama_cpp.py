@@ -1,61 +1,16 @@
-"""The measuring process for llama.cpp: requests on stdin, replies on stdout, each a line of JSON.
+"""llama.cpp behind worker.py, through the low-level interface of the package llama-cpp-python.
 
-It runs the same steps as PlanAgent's own process through llama.cpp's low-level interface, so only the engines differ. Prompts
-stay in the key-value cache as the steps say. All settings of llama.cpp are its defaults except threads and context.
-Fast-forwarded tokens are decoded one by one, because llama.cpp's grammar sampler takes them one by one.
+Prompts stay in the key-value cache as the steps say. All settings of llama.cpp are its defaults except threads and context.
 """
 
 import ctypes
-import json
-import os
-import random
-import sys
-import time
-
-# The libraries print to stderr, because stdout carries the replies.
-REPLIES = os.fdopen(os.dup(1), "w")
-os.dup2(2, 1)
 
 
-class Problem(Exception):
-    """A failure that the reply reports."""
-
-
-def now_ms():
-    return time.perf_counter() * 1e3
-
-
-class StepTime:
-    """Wall time of a step, milliseconds, and of its passes of several tokens and of one."""
-
-    def __init__(self):
-        self.start = now_ms()
-        self.first_token_ms = None
-        self.batch = [0, 0.0]
-        self.single = [0, 0.0]
-
-    def add_pass(self, tokens, ms):
-        passes = self.single if tokens == 1 else self.batch
-        passes[0] += tokens
-        passes[1] += ms
-
-    def chosen(self):
-        if self.first_token_ms is None:
-            self.first_token_ms = now_ms() - self.start
-
-    def reply(self):
-        return {
-            "ms": now_ms() - self.start,
-            "first_token_ms": self.first_token_ms,
-            "batch": {"tokens": self.batch[0], "ms": self.batch[1]},
-            "single": {"tokens": self.single[0], "ms": self.single[1]},
-        }
-
-
-class Model:
+class Engine(Sequence):
     """A decoder with its vision tower, and one sequence of tokens."""
 
     def __init__(self, request):
+        super().__init__(request["seed"])
         try:
             import llama_cpp
             from llama_cpp import mtmd_cpp
@@ -84,12 +39,10 @@ class Model:
         self.memory = llama_cpp.llama_get_memory(self.context)
         self.most_in_batch = settings.n_batch
         self.sampler = llama_cpp.llama_sampler_init_greedy()
-        self.words = random.Random(request["seed"])
         self.vocabulary = llama_cpp.llama_vocab_n_tokens(llama_cpp.llama_model_get_vocab(self.model))
         # Tokens in the cache, and the position of the next one. Tokens of an image may share one.
         self.tokens = self.length = 0
         self.shared = []
-        self.pending = []
         self.side = self.image_tokens = 0
         self.vision, self.features = None, []
         if files["projector"]:
@@ -225,9 +178,6 @@ class Model:
         """By how much the position of the next token is below the number of tokens."""
         return self.shared[-1][1] if self.shared else 0
 
-    def append(self, tokens):
-        self.pending.extend(self.words.randrange(self.vocabulary) for _ in range(tokens))
-
     def compute(self, step):
         """Decodes the pending tokens; the logits of the last one are available afterwards."""
         for first in range(0, len(self.pending), self.most_in_batch):
@@ -242,18 +192,6 @@ class Model:
             self.tokens += len(part)
         self.pending = []
 
-    def sample(self, tokens, step):
-        for _ in range(tokens):
-            self.compute(step)
-            self.pending = [self.api.llama_sampler_sample(self.sampler, self.context, -1)]
-            step.chosen()
-
-    def fast_forward(self, tokens, step):
-        """Each fast-forwarded token is decoded alone: it costs as much as a sampled one."""
-        for _ in range(tokens):
-            self.compute(step)
-            self.append(1)
-
     def keep(self, tokens):
         self.pending = []
         self.shared = [image for image in self.shared if image[0] <= tokens]
@@ -263,86 +201,20 @@ class Model:
         self.tokens = min(self.tokens, tokens)
         self.length = min(self.length, length)
 
-    def answer(self, prompt, count):
-        """The logits behind a prompt that is computed alone, and the likeliest tokens that follow it."""
-        self.keep(0)
-        self.pending = list(prompt)
-        step, logits, tokens = StepTime(), [], []
-        for _ in range(count):
-            self.compute(step)
-            if not logits:
-                logits = self.api.llama_get_logits_ith(self.context, -1)[: self.vocabulary]
-            tokens.append(self.api.llama_sampler_sample(self.sampler, self.context, -1))
-            self.pending = tokens[-1:]
-        self.keep(0)
-        return {"logits": logits, "tokens": tokens}
+    def likeliest(self):
+        return self.api.llama_sampler_sample(self.sampler, self.context, -1)
 
-    def encode_ramps(self, side, most):
-        """The numbers of the tokens of a picture with a ramp in each channel, at even distances."""
+    def logits(self):
+        return self.api.llama_get_logits_ith(self.context, -1)[: self.vocabulary]
+
+    def features_of(self, pixels, side):
         if not self.vision:
-            return {"tokens": 0, "values": []}
-        ramps = (
-            (x * (channel + 1) + y * (3 - channel)) * 255 // (4 * side)
-            for y in range(side)
-            for x in range(side)
-            for channel in range(3)
-        )
-        drawn, self.bitmap = self.bitmap, self.bitmap_of(bytes(ramps), side)
+            return []
+        drawn, self.bitmap = self.bitmap, self.bitmap_of(pixels, side)
         self.encode()
         self.vision_api.mtmd_bitmap_free(self.bitmap)
         self.bitmap = drawn
         width = self.api.llama_model_n_embd_inp(self.model)
         values = [value for _, rows in self.features for value in rows]
         self.features = []
-        tokens = len(values) // width
-        shown = min(tokens, most)
-        places = (index * tokens // shown * width for index in range(shown))
-        return {"tokens": tokens, "values": [value for place in places for value in values[place : place + width]]}
-
-    def run(self, step):
-        name, count = next(iter(step.items())) if isinstance(step, dict) else (step, 0)
-        timed = StepTime()
-        if name == "keep":
-            self.keep(count)
-        elif name == "encode":
-            self.encode()
-        elif name == "image":
-            self.append_image(timed)
-        elif name == "text":
-            self.append(count)
-        elif name == "fast_forwarded":
-            self.fast_forward(count, timed)
-        elif name == "sampled":
-            self.sample(count, timed)
-        elif name == "compute":
-            self.compute(timed)
-        else:
-            raise Problem(f"there is no step {name}")
-        return timed.reply()
-
-
-def main():
-    model = None
-    for line in sys.stdin:
-        try:
-            request = json.loads(line)
-            if "load" in request:
-                model = Model(request["load"])
-                reply = {"loaded": model.describe()}
-            elif "run" in request and model:
-                reply = {"ran": [model.run(step) for step in request["run"]]}
-            elif "answer" in request and model:
-                reply = {"answered": model.answer(**request["answer"])}
-            elif "features" in request and model:
-                reply = {"encoded": model.encode_ramps(**request["features"])}
-            else:
-                reply = {"failed": "this cannot be asked of llama.cpp, or not before a model is loaded"}
-        except Problem as problem:
-            reply = {"failed": str(problem)}
-        except Exception as error:  # The asking process must hear of whatever it was.
-            reply = {"failed": f"{type(error).__name__}: {error}"}
-        REPLIES.write(json.dumps(reply) + "\n")
-        REPLIES.flush()
-
-
-main()
+        return [values[start : start + width] for start in range(0, len(values), width)]

@@ -1,5 +1,8 @@
 //! `planagent bench`: output, result folder, and failures of single models.
 
+#[cfg(unix)]
+mod openvino;
+
 use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::{Needy, llama_python};
 use serde_json::Value;
