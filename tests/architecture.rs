@@ -106,7 +106,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
                 "qwen2_vl",
                 "qwen3_5",
             ],
-            &["llava_onevision"],
+            &["gemma3n", "llava_onevision"],
             &["families"],
             &["source"],
             &["local"],

@@ -10,7 +10,7 @@ use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_mat
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
-use planagent_kernels::matrix::{Matrix, WeightFormat};
+use planagent_kernels::matrix::{LANES, Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -61,6 +61,9 @@ const MAX_MATRIX: usize = 1 << 33;
 /// one has 5 million numbers.
 const MAX_TENSOR: usize = 1 << 26;
 
+/// Numbers of a strip of a large matrix: 64 MiB in f32.
+pub(super) const STRIP: usize = 1 << 24;
+
 /// A tensor that is not taken yet.
 #[derive(Debug, Clone)]
 pub(super) struct StoredTensor {
@@ -105,10 +108,14 @@ impl Weights {
         canonical: String,
         file: usize,
         name: String,
-        place: TensorPlace,
+        mut place: TensorPlace,
         rows: RowOrder,
     ) -> Result<(), MllmError> {
         self.unless_tied(&canonical);
+        // A convolution of single pixels is a matrix.
+        if let [_, _, 1, 1] = place.shape.as_slice() {
+            place.shape.truncate(2);
+        }
         let stored = StoredTensor {
             file,
             name,
@@ -420,8 +427,69 @@ impl Weights {
         Ok(matrix)
     }
 
-    /// Reads a matrix of plain numbers or ggml's blocks.
+    /// The rows of a matrix that are read at once: all of a small one, and of one whose file reads
+    /// only whole tensors.
+    pub(super) fn rows_at_once(
+        &self,
+        stored: &StoredTensor,
+        [outputs, inputs]: [usize; 2],
+    ) -> usize {
+        let file = self.files.get(stored.file);
+        let in_parts = stored.rows == RowOrder::Plain
+            && file.is_some_and(|file| file.reads_parts())
+            && stored.place.bytes.is_multiple_of(outputs.max(1) as u64);
+        if !in_parts {
+            return outputs;
+        }
+        let step = (STRIP / inputs.max(1) / LANES).max(1) * LANES;
+        outputs.min(step)
+    }
+
+    /// Reads a matrix of plain numbers or ggml's blocks, a large one strip by strip: what is read
+    /// and widened of it is never whole in memory.
     fn matrix(
+        &self,
+        stored: &StoredTensor,
+        shape: [usize; 2],
+        wanted: WeightFormat,
+    ) -> Result<Matrix, MllmError> {
+        let [outputs, inputs] = shape;
+        let step = self.rows_at_once(stored, shape);
+        if step == outputs {
+            return self.strip(stored, shape, wanted);
+        }
+        let row = stored.place.bytes / outputs as u64;
+        Matrix::in_strips(wanted, shape, step, |rows| {
+            let place = TensorPlace {
+                shape: vec![rows.len(), inputs],
+                begin: stored.place.begin + row * rows.start as u64,
+                bytes: row * rows.len() as u64,
+                ..stored.place
+            };
+            let strip = StoredTensor {
+                place,
+                ..stored.clone()
+            };
+            self.strip(&strip, [rows.len(), inputs], wanted)
+                .map_err(|error| match error {
+                    MllmError::NonFiniteWeight {
+                        path,
+                        name,
+                        element,
+                        value,
+                    } => MllmError::NonFiniteWeight {
+                        path,
+                        name,
+                        element: element + rows.start * inputs,
+                        value,
+                    },
+                    other => other,
+                })
+        })
+    }
+
+    /// Reads some rows of a matrix, or all.
+    fn strip(
         &self,
         stored: &StoredTensor,
         [outputs, inputs]: [usize; 2],
