@@ -52,11 +52,11 @@ impl Grid {
 
 /// Square windows of `side` pixels, `stride` pixels apart. Neither is 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Windows {
+struct Windows {
     /// Pixels along a side of a window.
-    pub side: usize,
+    side: usize,
     /// Pixels from a window to the next.
-    pub stride: usize,
+    stride: usize,
 }
 
 /// The part of a window within the image, along an axis.
