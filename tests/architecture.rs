@@ -63,7 +63,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
                 "rms_norm",
                 "sparse_gates",
             ],
-            &["attention", "delta_rule"],
+            &["attention", "convolution", "delta_rule"],
         ],
     ),
     ("score", &[&["metrics"], &["pdm"]]),

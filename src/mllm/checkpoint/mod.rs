@@ -23,6 +23,7 @@ pub(crate) mod safetensors_folder;
 mod stream_config;
 #[cfg(test)]
 mod strip_tests;
+mod strips;
 mod vision_config;
 mod weight_file;
 mod weight_format_plan;

@@ -1,7 +1,7 @@
 //! Large matrices, which are read strip by strip.
 
 use super::safetensors_folder;
-use super::weights::STRIP;
+use super::strips::STRIP;
 use crate::MllmError;
 use candle_core::safetensors::save;
 use candle_core::{DType, Device, Tensor};

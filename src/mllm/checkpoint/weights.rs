@@ -6,11 +6,11 @@ use super::merged::MergedFormat;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
-use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
+use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
-use planagent_kernels::matrix::{LANES, Matrix, WeightFormat};
+use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -60,9 +60,6 @@ const MAX_MATRIX: usize = 1 << 33;
 /// The same for any other tensor. What is computed of its placeholder takes memory. That of a real
 /// one has 5 million numbers.
 const MAX_TENSOR: usize = 1 << 26;
-
-/// Numbers of a strip of a large matrix: 64 MiB in f32.
-pub(super) const STRIP: usize = 1 << 24;
 
 /// A tensor that is not taken yet.
 #[derive(Debug, Clone)]
@@ -427,88 +424,6 @@ impl Weights {
         Ok(matrix)
     }
 
-    /// The rows of a matrix that are read at once: all of a small one, and of one whose file reads
-    /// only whole tensors.
-    pub(super) fn rows_at_once(
-        &self,
-        stored: &StoredTensor,
-        [outputs, inputs]: [usize; 2],
-    ) -> usize {
-        let file = self.files.get(stored.file);
-        let in_parts = stored.rows == RowOrder::Plain
-            && file.is_some_and(|file| file.reads_parts())
-            && stored.place.bytes.is_multiple_of(outputs.max(1) as u64);
-        if !in_parts {
-            return outputs;
-        }
-        let step = (STRIP / inputs.max(1) / LANES).max(1) * LANES;
-        outputs.min(step)
-    }
-
-    /// Reads a matrix of plain numbers or ggml's blocks, a large one strip by strip: what is read
-    /// and widened of it is never whole in memory.
-    fn matrix(
-        &self,
-        stored: &StoredTensor,
-        shape: [usize; 2],
-        wanted: WeightFormat,
-    ) -> Result<Matrix, MllmError> {
-        let [outputs, inputs] = shape;
-        let step = self.rows_at_once(stored, shape);
-        if step == outputs {
-            return self.strip(stored, shape, wanted);
-        }
-        let row = stored.place.bytes / outputs as u64;
-        Matrix::in_strips(wanted, shape, step, |rows| {
-            let place = TensorPlace {
-                shape: vec![rows.len(), inputs],
-                begin: stored.place.begin + row * rows.start as u64,
-                bytes: row * rows.len() as u64,
-                ..stored.place
-            };
-            let strip = StoredTensor {
-                place,
-                ..stored.clone()
-            };
-            self.strip(&strip, [rows.len(), inputs], wanted)
-                .map_err(|error| match error {
-                    MllmError::NonFiniteWeight {
-                        path,
-                        name,
-                        element,
-                        value,
-                    } => MllmError::NonFiniteWeight {
-                        path,
-                        name,
-                        element: element + rows.start * inputs,
-                        value,
-                    },
-                    other => other,
-                })
-        })
-    }
-
-    /// Reads some rows of a matrix, or all.
-    fn strip(
-        &self,
-        stored: &StoredTensor,
-        [outputs, inputs]: [usize; 2],
-        wanted: WeightFormat,
-    ) -> Result<Matrix, MllmError> {
-        let format = stored.place.format;
-        if held_as(format) == Some(wanted) {
-            let bytes = self.bytes(stored)?;
-            self.check_blocks(stored, wanted, &bytes)?;
-            return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
-        }
-        Ok(Matrix::quantize(
-            &self.values(stored)?,
-            outputs,
-            inputs,
-            wanted,
-        )?)
-    }
-
     /// Reads a matrix that a quantizer packed, with the largest error where its numbers are
     /// rounded.
     fn packed_matrix(
@@ -574,7 +489,7 @@ impl Weights {
     }
 
     /// The bytes of a tensor, its rows in order.
-    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
+    pub(super) fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
         let bytes = self.file(stored)?.bytes(&stored.place)?;
         Ok(match stored.rows {
             RowOrder::Plain => bytes,
@@ -587,7 +502,7 @@ impl Weights {
     }
 
     /// The numbers of a tensor, each checked.
-    fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
+    pub(super) fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
         let values = stored.place.format.widen(self.bytes(stored)?)?;
         // What bounds nothing is infinite.
         let is_bound = BOUNDS.iter().any(|end| stored.name.ends_with(end));
@@ -599,7 +514,7 @@ impl Weights {
     }
 
     /// Checks that the numbers of blocks are finite.
-    fn check_blocks(
+    pub(super) fn check_blocks(
         &self,
         stored: &StoredTensor,
         format: WeightFormat,

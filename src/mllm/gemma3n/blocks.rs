@@ -150,6 +150,7 @@ pub(super) fn read(
         let problem = format!("expected 2 to {MAX_STAGES} stages, found {}", stages.len());
         return Err(object.error(key, problem));
     }
+    // A block's inputs are the outputs of the one before, also of another stage.
     let mut channels = inputs;
     let mut read = Vec::with_capacity(stages.len());
     for (stage, blocks) in stages.iter().enumerate() {
@@ -192,6 +193,7 @@ impl Block {
             let problem = format!("{stride} is not supported here; {expected} is");
             return Err(object.error("stride", problem));
         }
+        // Keys of any kind first, then those of its own.
         object.only_keys(KEYS)?;
         object.only_neutral(&[
             ("act_layer", Neutral::Text(&[])),
@@ -200,8 +202,8 @@ impl Block {
             ("pw_kernel_size", Neutral::Number(1.0)),
             ("dw_kernel_size_end", Neutral::Number(0.0)),
         ])?;
-        let kind: String = object.value("block_type")?.unwrap_or_default();
-        let kind = match kind.as_str() {
+        let kind: Option<String> = object.value("block_type")?;
+        let kind = match kind.as_deref().unwrap_or("nothing") {
             "er" => Kind::Fused {
                 kernel: kernel(object, "exp_kernel_size", 3, false)?,
                 wide: wide(object, inputs)?,
@@ -294,6 +296,7 @@ fn wide(object: &ConfigObject<'_>, inputs: usize) -> Result<usize, MllmError> {
 /// The nearest multiple of [`DIVISOR`] that is no more than a tenth smaller (`make_divisible` in
 /// timm).
 pub(super) fn divisible(channels: f64) -> usize {
+    /// The part of the channels that must be left.
     const LEAST: f64 = 0.9;
     let halved = (channels + (DIVISOR / 2) as f64) as usize;
     let nearest = (halved / DIVISOR * DIVISOR).max(DIVISOR);

@@ -91,6 +91,7 @@ impl SeenConfig {
     fn read(root: &ConfigObject<'_>, vision: &ConfigObject<'_>) -> Result<Self, MllmError> {
         const TOKENS: &str = "vision_soft_tokens_per_image";
         const ID: &str = "image_token_id";
+        // The tower first, which says how many tokens there must be.
         let tower = TowerConfig::read(vision)?;
         let tokens = root.value(TOKENS)?.unwrap_or(GRID * GRID);
         if tokens != tower.tokens() {

@@ -163,6 +163,7 @@ fn length(tower: &Header, name: &str, axis: usize) -> usize {
 /// Tokens along a side of an image: llama.cpp's converter writes the side of the image divided by
 /// the number of tokens, rounded down, as that of a patch.
 fn grid(tower: &Header, side: usize) -> Result<usize, MllmError> {
+    /// As in configurations.
     const MAX_GRID: usize = 1 << 7;
     let patch = tower.required_count(PATCH)?;
     // Pixels of the map that is averaged: a 16th of the side.
@@ -212,6 +213,7 @@ fn blocks(tower: &Header) -> Vec<Vec<Value>> {
 
 /// A block behind `inputs` channels, and its own channels; none where the file has none.
 fn block(tower: &Header, name: &str, inputs: usize) -> Option<(Value, usize)> {
+    // Each kind has a tensor that no other has.
     let side = |part: &str, axis: usize| length(tower, &format!("{name}.{part}.weight"), axis);
     let factor = |wide: usize| wide as f64 / inputs.max(1) as f64;
     if side("conv_exp", 0) > 0 {

@@ -160,6 +160,7 @@ impl TowerBlock {
         block: Block,
         name: &str,
     ) -> std::result::Result<Self, MllmError> {
+        // timm has factors of channels in all but fused blocks.
         let computed = match block.kind {
             Kind::Fused { kernel, wide } => {
                 Computed::Fused(FusedPart::take(weights, block, name, [kernel, wide])?)
@@ -366,6 +367,7 @@ impl AttentionPart {
         else {
             return Err(candle_core::Error::Msg(format!("{name} is no attention")).into());
         };
+        // Keys and values lie in parts alike, queries and outputs in plain projections.
         let inputs = block.inputs;
         let mut keys = |part: &str| -> std::result::Result<KeyPart, MllmError> {
             let name = format!("{name}.attn.{part}");
