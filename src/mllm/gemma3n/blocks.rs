@@ -221,7 +221,7 @@ impl Block {
                     wide: wide(object, inputs)?,
                 }
             }
-            "mqa" if !first => attention(object, &count)?,
+            "mqa" if !first => attention(object, count)?,
             other => {
                 let problem = format!(
                     "'{}' is not supported here; er, uir and, behind the first block of a stage, mqa are",

@@ -225,11 +225,11 @@ fn block(tower: &Header, name: &str, inputs: usize) -> Option<(Value, usize)> {
         return Some((block, side("conv_pwl", 0)));
     }
     let width = side("attn.key.proj", 0);
-    if width > 0 {
+    if let Some(heads) = side("attn.query.proj", 0).checked_div(width) {
         let kernel = side("attn.key.down_conv", 2);
         let mut block = json!({
             "block_type": "mqa",
-            "num_heads": side("attn.query.proj", 0) / width,
+            "num_heads": heads,
             "key_dim": width,
             "value_dim": side("attn.value.proj", 0),
             "kv_stride": if kernel > 0 { 2 } else { 1 },

@@ -77,7 +77,7 @@ fn pixels_are_those_of_transformers() {
 fn a_folder_whose_tower_is_null_opens_as_a_language_model() {
     let prompts = Prompts::from_fixture(FIXTURE);
     let blind = changed("config.json", |config| {
-        config["vision_config"] = Value::Null
+        config["vision_config"] = Value::Null;
     })
     .unwrap();
     assert_eq!(blind.model().info().image_size, None);

@@ -179,12 +179,11 @@ impl TowerBlock {
                 Computed::Attention(AttentionPart::take(weights, block, name)?)
             }
         };
-        let scale = match block.kind {
-            Kind::Fused { .. } => None,
-            _ => {
-                let scale = format!("{name}.layer_scale.gamma");
-                Some(weights.take_of_any_rank(&scale, &[block.outputs])?)
-            }
+        let scale = if matches!(block.kind, Kind::Fused { .. }) {
+            None
+        } else {
+            let scale = format!("{name}.layer_scale.gamma");
+            Some(weights.take_of_any_rank(&scale, &[block.outputs])?)
         };
         Ok(Self {
             computed,
