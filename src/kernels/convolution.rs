@@ -309,13 +309,14 @@ mod tests {
             .unwrap()
     }
 
-    /// Sums in another order differ by some units in the last place of the largest.
+    /// Sums of up to 500 products in another order differ by some units in the last place of the
+    /// largest: torch's own in 32 bits by up to 6e-7 of it from those in 64.
     fn assert_near(found: &Tensor, expected: &Tensor) {
         let largest = |x: &Tensor| x.abs().unwrap().max_all().unwrap();
         assert_eq!(found.dims(), expected.dims());
         let off = largest(&(found - expected).unwrap());
         let [off, all] = [off, largest(expected)].map(|x| x.to_scalar::<f32>().unwrap());
-        assert!(off < 1e-6 * all.max(1.0), "{off} of {all}");
+        assert!(off < 4e-6 * all.max(1.0), "{off} of {all}");
     }
 
     const CASES: [(usize, usize, Grid); 7] = [
