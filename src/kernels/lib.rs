@@ -4,6 +4,7 @@
 mod activation;
 pub mod attention;
 mod awake;
+mod convolution;
 mod delta_rule;
 mod layer_norm;
 pub mod limits;
@@ -17,6 +18,7 @@ mod work;
 
 pub use activation::Activation;
 pub use awake::Awake;
+pub use convolution::{Convolution, Depthwise, Grid};
 pub use delta_rule::{DeltaHeads, GatedDeltaRule};
 pub use layer_norm::LayerNorm;
 pub use limits::Limits;

@@ -3,8 +3,8 @@
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
-    MllmError, cogvlm, gemma3, gemma4, internvl, lfm2_vl, llava, llava_next, llava_onevision,
-    qwen2_5_vl, qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, gemma3, gemma3n, gemma4, internvl, lfm2_vl, llava, llava_next,
+    llava_onevision, qwen2_5_vl, qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
 };
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -21,6 +21,7 @@ const BUILT_IN: &[&Family] = &[
     &qwen2_vl::FAMILY,
     &llava_onevision::FAMILY,
     &gemma3::FAMILY,
+    &gemma3n::FAMILY,
     &gemma4::FAMILY,
     &lfm2_vl::FAMILY,
     &qwen3_5::FAMILY,

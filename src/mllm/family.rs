@@ -121,6 +121,13 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
         Ok(side.saturating_mul(side).saturating_mul(views))
     }
 
+    /// What the tower costs for an image of this width and height, pixels, where its layers read
+    /// maps of several sizes; none for a tower of patches, whose tensors say it.
+    fn tower_cost(&self, width: u32, height: u32) -> Option<TowerCost> {
+        let _ = (width, height);
+        None
+    }
+
     /// Cuts and scales an image to the tiles that the vision tower takes.
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError>;
 
@@ -160,6 +167,15 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
         let _threads = Awake::begin();
         Ok(self.encode(&pixels)?)
     }
+}
+
+/// The cost of an image in a vision tower.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TowerCost {
+    /// Bytes of the activations that are alive at once, beside the pixels.
+    pub bytes: u64,
+    /// Multiplications and additions.
+    pub operations: u64,
 }
 
 /// The error of a model without a vision tower that is shown a picture.

@@ -34,6 +34,7 @@ mod export;
 mod families;
 mod family;
 mod gemma3;
+mod gemma3n;
 mod gemma4;
 mod gguf;
 mod internvl;

@@ -20,6 +20,7 @@ fn tiny(architecture: &str) -> PathBuf {
         "qwen2-vl" => "tiny_qwen2_vl",
         "llava-onevision" => "tiny_llava_onevision",
         "gemma3" => "tiny_gemma3",
+        "gemma3n" => "tiny_gemma3n_vision",
         "gemma4" => "tiny_gemma4",
         "qwen3-vl" => "tiny_qwen3_vl",
         "cogvlm" => "tiny_cogvlm",

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [Tiny; 14] = [
+const FAMILIES: [Tiny; 15] = [
     Tiny {
         name: "tiny_llava",
         architecture: "llava",
@@ -64,6 +64,10 @@ const FAMILIES: [Tiny; 14] = [
         architecture: "gemma3",
     },
     Tiny {
+        name: "tiny_gemma3n_vision",
+        architecture: "gemma3n",
+    },
+    Tiny {
         name: "tiny_gemma4",
         architecture: "gemma4",
     },
@@ -97,7 +101,7 @@ const TEXT_ONLY: [&str; 8] = [
     "qwen3",
     "qwen3_5_text",
     "gemma3_text",
-    "gemma3n",
+    "gemma3n_text",
     "gemma4_text",
     "lfm2",
 ];
@@ -497,6 +501,7 @@ fn the_described_models_are_all_readable() {
         ("llava-onevision-0.5b", "llava-onevision"),
         ("llava-onevision-7b", "llava-onevision"),
         ("gemma-3-4b", "gemma3"),
+        ("gemma-3n-e2b", "gemma3n"),
         ("gemma-4-e2b", "gemma4"),
         ("gemma-4-e4b", "gemma4"),
         ("lfm2-vl-450m", "lfm2-vl"),

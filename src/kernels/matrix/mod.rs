@@ -22,6 +22,7 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 use std::io::{self, Write};
+use std::ops::Range;
 use std::sync::Arc;
 
 // Tests of other crates compare with it.
@@ -106,6 +107,40 @@ impl Matrix {
             inputs,
             outputs,
             segments: vec![Arc::new(tiles)],
+            in_two_terms: false,
+        })
+    }
+
+    /// Makes a matrix strip by strip, so that the numbers of one strip at a time are in memory
+    /// beside it: `read` gives the matrix of some rows, as many as were asked for, in this format.
+    /// A strip but the last has `step` rows, a multiple of [`LANES`].
+    ///
+    /// # Errors
+    /// Those of `read`, and when a strip does not fit.
+    pub fn in_strips<E: From<candle_core::Error>>(
+        weight_format: WeightFormat,
+        [outputs, inputs]: [usize; 2],
+        step: usize,
+        mut read: impl FnMut(Range<usize>) -> std::result::Result<Self, E>,
+    ) -> std::result::Result<Self, E> {
+        check_shape(weight_format, outputs, inputs)?;
+        let mut whole = PackedTiles::with_room(weight_format, outputs, inputs);
+        for first in (0..outputs).step_by(step.max(1)) {
+            let rows = first..outputs.min(first + step);
+            let strip = read(rows.clone())?;
+            let fits = match strip.segments.as_slice() {
+                [segment] => segment.outputs() == rows.len() && whole.append(segment),
+                _ => false,
+            };
+            if !fits {
+                let problem = format!("a strip is no matrix of {} rows", rows.len());
+                return Err(candle_core::Error::Msg(problem).into());
+            }
+        }
+        Ok(Self {
+            inputs,
+            outputs,
+            segments: vec![Arc::new(whole)],
             in_two_terms: false,
         })
     }

@@ -259,6 +259,20 @@ impl PackedTiles {
         tiles
     }
 
+    /// Tiles without a row, with memory for this many.
+    pub(super) fn with_room(weight_format: WeightFormat, outputs: usize, inputs: usize) -> Self {
+        let mut tiles = Self {
+            weight_format,
+            outputs: 0,
+            inputs,
+            layout: Layout::for_format(weight_format),
+            lines: Vec::new(),
+        };
+        let lines = outputs.div_ceil(LANES) * tiles.tile_lines();
+        tiles.lines.reserve_exact(lines);
+        tiles
+    }
+
     /// Appends rows of the same weight format; returns false where that is not possible.
     pub(super) fn append(&mut self, other: &Self) -> bool {
         let whole = self.outputs.is_multiple_of(LANES);

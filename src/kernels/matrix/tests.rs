@@ -348,6 +348,35 @@ fn the_smallest_signed_byte_is_multiplied_as_others() {
 }
 
 #[test]
+fn a_matrix_in_strips_is_that_of_all_rows() {
+    let mut random = Pcg64Mcg::seed_from_u64(5);
+    let blocks = |matrix: &Matrix| {
+        let mut bytes = Vec::new();
+        matrix.write_blocks(&mut bytes).unwrap();
+        bytes
+    };
+    for weight_format in WeightFormat::ALL {
+        let (outputs, inputs) = (75, 512);
+        let values = random_rows(outputs, inputs, &mut random);
+        let whole = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap();
+        let strips = |step: usize| {
+            Matrix::in_strips(weight_format, [outputs, inputs], step, |rows| {
+                let values = &values[rows.start * inputs..rows.end * inputs];
+                Matrix::quantize(values, rows.len(), inputs, weight_format)
+            })
+        };
+        for step in [16, 32, 80, 1 << 40] {
+            let found = strips(step).unwrap();
+            assert_eq!(found.segments.len(), 1);
+            assert!(blocks(&found) == blocks(&whole), "{weight_format} {step}");
+        }
+        for step in [0, 20] {
+            assert!(strips(step).is_err(), "{weight_format} {step}");
+        }
+    }
+}
+
+#[test]
 fn shapes_that_do_not_fit_are_errors() {
     assert!(Matrix::fits(WeightFormat::Q4K, 3, 512) && !Matrix::fits(WeightFormat::Q4K, 3, 96));
     assert!(Matrix::quantize(&[0.0; 96], 1, 96, WeightFormat::Q6K).is_err());

@@ -56,10 +56,27 @@ impl<'a> ConfigObject<'a> {
     }
 
     pub(crate) fn child(&self, key: &str) -> Result<Option<Self>, MllmError> {
-        match self.entries.get(key) {
-            None => Ok(None),
-            Some(Value::Object(object)) => Ok(Some(self.empty_child(key).with_entries(object))),
-            Some(other) => Err(self.error(key, not_an_object(other))),
+        let entry = self.entries.get(key);
+        entry.map(|value| self.nested(key, value)).transpose()
+    }
+
+    /// The object that a value is which stands below this object at `key`, keys with dots between.
+    pub(crate) fn nested(&self, key: &str, value: &Value) -> Result<Self, MllmError> {
+        match value {
+            Value::Object(object) => Ok(self.empty_child(key).with_entries(object)),
+            other => Err(self.error(key, not_an_object(other))),
+        }
+    }
+
+    /// Refuses every key that is none of these.
+    pub(crate) fn only_keys(&self, known: &[&str]) -> Result<(), MllmError> {
+        let mut keys = self.entries.keys();
+        match keys.find(|key| !known.contains(&key.as_str())) {
+            None => Ok(()),
+            Some(key) => {
+                let problem = format!("is not supported; {} are", known.join(", "));
+                Err(self.error(key, problem))
+            }
         }
     }
 

@@ -52,7 +52,8 @@ impl Weights {
     }
 
     /// What taking a tensor needs beside what it becomes: the tensor as in its file and, where it
-    /// gets another format, its numbers in f32 and the blocks that they are rounded to.
+    /// gets another format, its numbers in f32 and the blocks that they are rounded to. Of a large
+    /// matrix that is a strip.
     fn reading(&self, plan: WeightFormatPlan, name: &str, stored: &StoredTensor) -> u64 {
         let shape = &stored.place.shape;
         let numbers = f32_bytes(shape);
@@ -63,12 +64,16 @@ impl Weights {
             return numbers.saturating_mul(2);
         }
         let wanted = self.planned(plan, name, stored, inputs).weight_format;
+        let rows = self.rows_at_once(stored, [outputs, inputs]);
+        let bytes = bytes / outputs.max(1) as u64 * rows as u64;
         if held_as(stored.place.format) == Some(wanted) {
             return bytes;
         }
-        let blocks = wanted.matrix_bytes(outputs, inputs);
+        let blocks = wanted.matrix_bytes(rows, inputs);
         let blocks = blocks.map_or(u64::MAX, |blocks| blocks as u64);
-        bytes.saturating_add(numbers).saturating_add(blocks)
+        bytes
+            .saturating_add(f32_bytes(&[rows, inputs]))
+            .saturating_add(blocks)
     }
 
     /// The report of taking all tensors that are left, with another wanted format.

@@ -207,6 +207,10 @@ fn shared(
     Ok(found.map(|layer| layer.unwrap_or(0)))
 }
 
+/// Key of the tokens that have a row in the table of layers, in configurations that are made of
+/// llama.cpp's files.
+pub(crate) const KNOWN_TOKENS: &str = "known_tokens_per_layer_input";
+
 /// Numbers of a token for each layer, from a table of their own and from its input row
 /// ("per-layer embeddings").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -215,6 +219,8 @@ pub(crate) struct LayerInputConfig {
     pub width: usize,
     /// Rows of the table.
     pub vocabulary: usize,
+    /// Tokens that have a row: llama.cpp's files have rows of zeros behind those of a Gemma 3n.
+    pub known: usize,
     /// The token whose row stands for that of an image's tokens, and of tokens behind the table.
     pub pad: u32,
 }
@@ -222,7 +228,7 @@ pub(crate) struct LayerInputConfig {
 impl LayerInputConfig {
     /// The row of a token; none stands for a row of an image.
     pub(crate) fn row(&self, token: Option<u32>) -> u32 {
-        let in_table = |token: &u32| (*token as usize) < self.vocabulary;
+        let in_table = |token: &u32| (*token as usize) < self.known;
         token.filter(in_table).unwrap_or(self.pad)
     }
 
@@ -239,10 +245,12 @@ impl LayerInputConfig {
         check_width(text, WIDTH, width, config.layers)?;
         let vocabulary = text.value(ROWS)?.unwrap_or(262_144);
         check_ranges(text, &[(ROWS, vocabulary, MAX_COUNT as usize)])?;
+        let known = text.value(KNOWN_TOKENS)?.unwrap_or(vocabulary);
         // transformers takes the first row, whatever the padding is.
         Ok(Self {
             width,
             vocabulary,
+            known: known.min(vocabulary),
             pad: 0,
         })
     }
@@ -275,6 +283,7 @@ impl LayerInputConfig {
         Ok(Some(Self {
             width,
             vocabulary,
+            known: vocabulary,
             pad,
         }))
     }

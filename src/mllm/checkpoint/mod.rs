@@ -21,6 +21,9 @@ mod rope_config;
 mod row_order;
 pub(crate) mod safetensors_folder;
 mod stream_config;
+#[cfg(test)]
+mod strip_tests;
+mod strips;
 mod vision_config;
 mod weight_file;
 mod weight_format_plan;
@@ -33,7 +36,7 @@ pub(crate) use delta_config::DeltaConfig;
 pub use files::ModelFiles;
 #[cfg(test)]
 pub(crate) use gemma_config::ImageMask;
-pub(crate) use layer_shape::{LayerInputConfig, LayerKeys, LayerShape};
+pub(crate) use layer_shape::{KNOWN_TOKENS, LayerInputConfig, LayerKeys, LayerShape};
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
 pub use load_report::{

@@ -31,6 +31,11 @@ pub(crate) trait TensorSource: std::fmt::Debug + Send + Sync {
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError>;
 
+    /// Whether [`Self::bytes`] also reads some of a tensor's bytes.
+    fn reads_parts(&self) -> bool {
+        false
+    }
+
     /// How a quantizer packed a tensor; none for plain numbers. The bytes of a packed tensor are
     /// its numbers in f32.
     fn packed(&self, place: &TensorPlace) -> Option<&PackedForm> {
@@ -58,6 +63,10 @@ impl<S: TensorSource> TensorSource for Arc<S> {
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         (**self).bytes(place)
+    }
+
+    fn reads_parts(&self) -> bool {
+        (**self).reads_parts()
     }
 
     fn packed(&self, place: &TensorPlace) -> Option<&PackedForm> {
@@ -157,6 +166,10 @@ impl TensorSource for WeightFile {
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         self.part(place.begin, place.bytes)
+    }
+
+    fn reads_parts(&self) -> bool {
+        true
     }
 
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {

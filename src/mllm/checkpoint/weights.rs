@@ -6,7 +6,7 @@ use super::merged::MergedFormat;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
-use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
+use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
@@ -105,10 +105,14 @@ impl Weights {
         canonical: String,
         file: usize,
         name: String,
-        place: TensorPlace,
+        mut place: TensorPlace,
         rows: RowOrder,
     ) -> Result<(), MllmError> {
         self.unless_tied(&canonical);
+        // A convolution of single pixels is a matrix.
+        if let [_, _, 1, 1] = place.shape.as_slice() {
+            place.shape.truncate(2);
+        }
         let stored = StoredTensor {
             file,
             name,
@@ -420,27 +424,6 @@ impl Weights {
         Ok(matrix)
     }
 
-    /// Reads a matrix of plain numbers or ggml's blocks.
-    fn matrix(
-        &self,
-        stored: &StoredTensor,
-        [outputs, inputs]: [usize; 2],
-        wanted: WeightFormat,
-    ) -> Result<Matrix, MllmError> {
-        let format = stored.place.format;
-        if held_as(format) == Some(wanted) {
-            let bytes = self.bytes(stored)?;
-            self.check_blocks(stored, wanted, &bytes)?;
-            return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
-        }
-        Ok(Matrix::quantize(
-            &self.values(stored)?,
-            outputs,
-            inputs,
-            wanted,
-        )?)
-    }
-
     /// Reads a matrix that a quantizer packed, with the largest error where its numbers are
     /// rounded.
     fn packed_matrix(
@@ -506,7 +489,7 @@ impl Weights {
     }
 
     /// The bytes of a tensor, its rows in order.
-    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
+    pub(super) fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
         let bytes = self.file(stored)?.bytes(&stored.place)?;
         Ok(match stored.rows {
             RowOrder::Plain => bytes,
@@ -519,7 +502,7 @@ impl Weights {
     }
 
     /// The numbers of a tensor, each checked.
-    fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
+    pub(super) fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
         let values = stored.place.format.widen(self.bytes(stored)?)?;
         // What bounds nothing is infinite.
         let is_bound = BOUNDS.iter().any(|end| stored.name.ends_with(end));
@@ -531,7 +514,7 @@ impl Weights {
     }
 
     /// Checks that the numbers of blocks are finite.
-    fn check_blocks(
+    pub(super) fn check_blocks(
         &self,
         stored: &StoredTensor,
         format: WeightFormat,

@@ -8,8 +8,8 @@
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{
-    MllmError, cogvlm, gemma3, gemma4, internvl, lfm2_vl, llava, llava_next, llava_onevision,
-    qwen2_5_vl, qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
+    MllmError, cogvlm, gemma3, gemma3n, gemma4, internvl, lfm2_vl, llava, llava_next,
+    llava_onevision, qwen2_5_vl, qwen2_vl, qwen3_5, qwen3_vl, smolvlm, text_only,
 };
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -78,9 +78,10 @@ fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmE
         "qwen3.5" => qwen3_5::read_files(&files),
         "llava-onevision" => llava_onevision::read_files(&files),
         "gemma3" => gemma3::read_files(&files),
+        "gemma3n" => gemma3n::read_files(&files),
         "gemma4" => gemma4::read_files(&files),
         "lfm2-vl" => lfm2_vl::read_files(&files),
-        "gemma3_text" | "gemma3n" | "gemma4_text" | "lfm2" | "qwen3_5_text" => {
+        "gemma3_text" | "gemma3n_text" | "gemma4_text" | "lfm2" | "qwen3_5_text" => {
             text_only::read_files(&files)
         }
         other => panic!("{other} is no family"),

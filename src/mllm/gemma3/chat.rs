@@ -7,7 +7,7 @@ pub(super) const BEGIN: &str = "<start_of_image>";
 const END: &str = "<end_of_image>";
 
 /// The image's tokens between their marks and empty lines (`full_image_sequence` in transformers).
-pub(super) fn image_text(placeholder: &str, layout: ImageLayout) -> String {
+pub(crate) fn image_text(placeholder: &str, layout: ImageLayout) -> String {
     format!("\n\n{BEGIN}{}{END}\n\n", placeholder.repeat(layout.tokens))
 }
 

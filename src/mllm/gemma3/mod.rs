@@ -15,6 +15,7 @@ use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::{About, Family};
 use super::llava::canonical_name;
 use super::vision::{ClipImageProcessor, read_processor};
+pub(crate) use chat::image_text;
 use config::Gemma3Config;
 use model::Gemma3;
 use serde_json::json;

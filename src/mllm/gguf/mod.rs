@@ -89,6 +89,11 @@ pub trait GgufLayout: Sync {
         false
     }
 
+    /// Whether a tower's file has as many layers (`v.blk.N.`) as its metadata say.
+    fn tower_says_its_layers(&self) -> bool {
+        true
+    }
+
     /// The metadata for a model with these files, or the part that the format has no key for.
     fn metadata(&self, files: &ModelFiles) -> Result<Result<Description, &'static str>, MllmError>;
 }

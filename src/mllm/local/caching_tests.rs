@@ -153,6 +153,7 @@ fn families_of_today_compute_as_little() {
         "tiny_qwen2_vl",
         "tiny_llava_onevision",
         "tiny_gemma3",
+        "tiny_gemma3n_vision",
         "tiny_gemma4",
         "tiny_lfm2_vl",
         "tiny_qwen3_5",

@@ -89,6 +89,18 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         "vision_config": {"hidden_size": 128, "intermediate_size": 192, "num_hidden_layers": 3, "num_attention_heads": 4,
             "num_key_value_heads": 2, "head_dim": 32, "patch_size": 8, "position_embedding_size": 120,
             "use_clipped_linears": true, "standardize": true}});
+    let streamed = json!({"model_type": "gemma3n_text", "head_dim": 32, "num_kv_shared_layers": 2, "sliding_window": 24,
+        "hidden_size_per_layer_input": 32, "laurel_rank": 32, "layer_types": varied["layer_types"],
+        "activation_sparsity_pattern": vec![0.7; text["num_hidden_layers"].as_u64().unwrap() as usize]});
+    let fused = json!({"image_token_id": 3, "text_config": with(text.clone(), streamed.clone()),
+        "vision_soft_tokens_per_image": 16, "audio_config": {"vocab_offset": 509, "vocab_size": 3}, "vision_config": {
+            "vocab_offset": 506, "vocab_size": 3, "model_args": {"stem_size": 32, "msfa_output_resolution": 4, "block_args": [
+                [{"block_type": "er", "out_chs": 48, "stride": 2, "exp_ratio": 4}],
+                [{"block_type": "uir", "out_chs": 64, "stride": 2, "dw_kernel_size_start": 3, "dw_kernel_size_mid": 5}],
+                [{"block_type": "uir", "out_chs": 96, "stride": 2, "exp_ratio": 4},
+                    {"block_type": "mqa", "out_chs": 96, "stride": 1, "num_heads": 4, "key_dim": 32, "value_dim": 32,
+                        "kv_stride": 2}],
+                [{"block_type": "uir", "out_chs": 128, "stride": 2, "exp_ratio": 4}]]}}});
     let whole = json!({"embed_dim": 192, "hidden_size": 256});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture = |width, height| {
@@ -147,6 +159,14 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         ),
         (
             random(
+                "gemma3n",
+                &fused,
+                &json!({"size": {"height": 128, "width": 128}}),
+            ),
+            picture(90, 70),
+        ),
+        (
+            random(
                 "gemma4",
                 &pooled,
                 &json!({"max_soft_tokens": 20, "patch_size": 8}),
@@ -158,15 +178,12 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     ];
     // Models that read text alone.
     let local = json!({"model_type": "gemma3_text", "head_dim": 32, "sliding_window": 24, "sliding_window_pattern": 2});
-    let streamed = json!({"model_type": "gemma3n_text", "head_dim": 32, "num_kv_shared_layers": 2, "sliding_window": 24,
-        "hidden_size_per_layer_input": 32, "laurel_rank": 32, "layer_types": varied["layer_types"],
-        "activation_sparsity_pattern": vec![0.7; text["num_hidden_layers"].as_u64().unwrap() as usize]});
     let texts = [
         ("llama", json!({"model_type": "llama"})),
         ("qwen2", json!({"model_type": "qwen2"})),
         ("qwen3", json!({"model_type": "qwen3", "head_dim": 32})),
         ("gemma3_text", local),
-        ("gemma3n", streamed),
+        ("gemma3n_text", streamed.clone()),
         (
             "gemma4_text",
             with(varied, json!({"model_type": "gemma4_text"})),

@@ -172,6 +172,36 @@ fn sizes_are_bounded_before_memory_is_taken() {
         ),
         ("tiny_gemma3", CONFIG, "/mm_tokens_per_image", most.clone()),
         (
+            "tiny_gemma3n_vision",
+            CONFIG,
+            "/vision_config/vocab_size",
+            most.clone(),
+        ),
+        (
+            "tiny_gemma3n_vision",
+            CONFIG,
+            "/vision_config/model_args/stem_size",
+            most.clone(),
+        ),
+        (
+            "tiny_gemma3n_vision",
+            CONFIG,
+            "/vision_config/model_args/block_args/2/0/out_chs",
+            json!(1 << 20),
+        ),
+        (
+            "tiny_gemma3n_vision",
+            CONFIG,
+            "/vision_config/model_args/block_args/2/0/exp_ratio",
+            json!(1e6),
+        ),
+        (
+            "tiny_gemma3n_vision",
+            PROCESSOR,
+            "/size",
+            json!({"height": 65_520, "width": 65_520}),
+        ),
+        (
             "tiny_gemma4",
             CONFIG,
             "/vision_config/position_embedding_size",

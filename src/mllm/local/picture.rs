@@ -11,7 +11,8 @@ use std::collections::BTreeSet;
 pub(crate) struct PictureNeed {
     /// Tokens that it becomes.
     pub(super) tokens: u64,
-    /// Patches that the tower reads.
+    /// Patches that the tower reads; of a tower of maps, as many as would cost the same if each
+    /// were multiplied by all weights.
     pub(super) patches: u64,
     /// Bytes of its pixels and patches, and of the activations that are alive at once.
     pub(super) bytes: u64,
@@ -42,6 +43,21 @@ impl PictureNeed {
             return Self::default();
         };
         let (values, tower) = (3 * pixels as u64, Tower::from_tensors(listed.listed()));
+        if let Some(cost) = model.tower_cost(side, side) {
+            let tokens = layout.tokens as u64;
+            let projector = tower.operations(listed.listed(), 0, tokens);
+            // The values once in rows of pixels, once in a map.
+            let numbers = 2 * values * size_of::<f32>() as u64;
+            let weights = listed.listed().iter();
+            let weights = weights.filter(|(name, _)| name.starts_with("vision"));
+            let weights = weights.map(|(_, shape)| shape.iter().product::<usize>() as u64);
+            return Self {
+                tokens,
+                patches: cost.operations / 2 / weights.sum::<u64>().max(1),
+                bytes: cost.bytes.saturating_add(numbers),
+                operations: cost.operations.saturating_add(projector),
+            };
+        }
         let (tokens, patches) = (layout.tokens as u64, pixels as u64 / tower.patch.max(1));
         let row = ROWS.0 * tower.hidden + ROWS.1 * tower.intermediate;
         // The values once in rows of pixels, once in patches.
@@ -179,6 +195,23 @@ mod tests {
         let products = 2 * 32 * (8 * 12 + 2 * 32 * 8) + 2 * 10 * 64 * 8;
         let attention = 4 * 2 * 32 * 16 * 8;
         assert_eq!(tower.operations(&tensors, 32, 10), products + attention);
+    }
+
+    /// The products that are computed, which kernels count.
+    #[test]
+    fn a_tower_of_maps_counts_its_blocks() {
+        let folder = fixture("tiny_gemma3n_vision");
+        let picture = PictureNeed::estimate(&open_checkpoint(&folder), ImageSettings::default());
+        let model = crate::local::test_prompts::Prompts::open_at(&folder);
+        let model = model.model();
+        let image = image::RgbImage::new(96, 96);
+        let cost = model.tower_cost(96, 96).unwrap();
+        assert!(model.encode_image(&image).is_ok());
+        // The stem and the fusion alone.
+        let (stem, fusion) = (48 * 48 * 27 * 8, 36 * (16 * 32 + 32 * 64));
+        assert!(cost.operations > 2 * (stem + fusion), "{cost:?}");
+        assert!(picture.operations > cost.operations && picture.patches > 0);
+        assert!(picture.bytes > cost.bytes && cost.bytes > 4 * 36 * 64);
     }
 
     #[test]

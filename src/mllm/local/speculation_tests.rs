@@ -36,6 +36,7 @@ fn folders() -> Vec<(PathBuf, &'static str)> {
         "tiny_qwen2_vl",
         "tiny_llava_onevision",
         "tiny_gemma3",
+        "tiny_gemma3n_vision",
         "tiny_gemma4",
         "tiny_lfm2_vl",
         "tiny_qwen3_5",

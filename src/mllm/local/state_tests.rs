@@ -37,7 +37,7 @@ static MODELS: LazyLock<Vec<Model>> = LazyLock::new(|| {
                     "sliding_attention", "full_attention"]}),
         ),
         model(
-            "gemma3n",
+            "gemma3n_text",
             json!({"model_type": "gemma3n_text", "head_dim": 16, "num_hidden_layers": 6, "sliding_window": 7,
                 "num_kv_shared_layers": 2, "hidden_size_per_layer_input": 8, "vocab_size_per_layer_input": 100,
                 "laurel_rank": 8, "activation_sparsity_pattern": [0.7, 0, 0.5, 0, 0, 0],

@@ -56,6 +56,11 @@ impl Parts {
         safetensors_folder::open(folder.path(), None, family.canonical_name).unwrap()
     }
 
+    /// A tensor, as it is stored.
+    pub(crate) fn tensor(&self, name: &str) -> &Tensor {
+        &self.tensors[name]
+    }
+
     /// Swaps two tensors.
     pub(crate) fn swap(&mut self, one: &str, other: &str) {
         let [first, second] = [one, other].map(|name| self.tensors.remove(name).unwrap());

@@ -11,6 +11,7 @@ macro_rules! described {
 const DESCRIBED: &[(&str, &str)] = described![
     "cogvlm-chat-17b",
     "gemma-3-4b",
+    "gemma-3n-e2b",
     "gemma-4-e2b",
     "gemma-4-e4b",
     "internvl3-1b",

@@ -188,7 +188,7 @@ fn small_files(
         texts.extend(layout.small_files(decoder, tower, notes)?);
         let block_count = format!("{}.block_count", decoder.architecture()?);
         check_layers(decoder, &block_count, "blk.", true)?;
-        if let Some(tower) = tower {
+        if let Some(tower) = tower.filter(|_| layout.tower_says_its_layers()) {
             // Older files of LLaVA have the layer that is not used.
             check_layers(tower, "clip.vision.block_count", "v.blk.", false)?;
         }

@@ -30,7 +30,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 31] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -53,6 +53,7 @@ impl ModelShape {
         shape!("llava-onevision-0.5b"),
         shape!("llava-onevision-7b"),
         shape!("gemma-3-4b"),
+        shape!("gemma-3n-e2b"),
         shape!("gemma-4-e2b"),
         shape!("gemma-4-e4b"),
         shape!("lfm2-vl-450m"),
@@ -193,6 +194,7 @@ mod tests {
             ("llava-onevision-0.5b", 0.894),
             ("llava-onevision-7b", 8.03),
             ("gemma-3-4b", 4.297),
+            ("gemma-3n-e2b", 4.77),
             ("gemma-4-e2b", 4.797),
             ("gemma-4-e4b", 7.627),
             ("lfm2-vl-450m", 0.450_8),

@@ -121,17 +121,6 @@ impl TextGguf {
     };
 }
 
-impl TextGguf {
-    /// The configuration of a model of this family.
-    fn config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
-        if self.architectures == [gemma3n::ARCHITECTURE] {
-            super::gemma3n::config(files)
-        } else {
-            super::config(files, super::DecoderType::Llama)
-        }
-    }
-}
-
 impl GgufLayout for TextGguf {
     fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
         let known = |architecture| self.architectures.contains(&architecture);
@@ -168,7 +157,7 @@ impl GgufLayout for TextGguf {
     }
 
     fn metadata(&self, files: &ModelFiles) -> Result<Described, MllmError> {
-        let config = self.config(files)?;
+        let config = super::config(files, super::DecoderType::Llama)?;
         Ok(described(&config))
     }
 }

@@ -16,6 +16,7 @@ use super::MllmError;
 use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Weights};
 use super::decoder::{LlamaLayer, StreamLayer};
 use super::family::{About, Family, OpenedModel};
+pub(crate) use gemma3n::canonical_name as gemma3n_name;
 use gguf::TextGguf;
 use model::TextModel;
 
@@ -104,23 +105,17 @@ pub(crate) const GEMMA3: Family = Family {
     },
 };
 
-/// Gemma 3n, whose vision tower is a convolutional network that this program does not have.
+/// Gemma 3n without its towers.
 pub(crate) const GEMMA3N: Family = Family {
-    name: "gemma3n",
-    config_names: &[
-        "gemma3n",
-        "Gemma3nForConditionalGeneration",
-        "gemma3n_text",
-        "Gemma3nForCausalLM",
-    ],
-    canonical_name: gemma3n::canonical_name,
+    name: "gemma3n_text",
+    config_names: &["gemma3n_text", "Gemma3nForCausalLM"],
+    canonical_name: gemma3n_name,
     gguf: Ok(&TextGguf::OF_GEMMA3N),
     missing_tokenizer: TOKENIZER,
-    decoder_config: gemma3n::config,
+    decoder_config: |files| config(files, DecoderType::Gemma3n),
     open: |files, weights| {
-        let config = gemma3n::config(files)?;
-        let model = TextModel::<StreamLayer>::take(weights, "gemma3n", &config)?;
-        Ok(Box::new(model))
+        let config = config(files, DecoderType::Gemma3n)?;
+        take_streams(weights, "gemma3n_text", &config)
     },
     about: About {
         models: "Gemma 3n without its towers",
@@ -195,6 +190,17 @@ const TOKENIZER: &str = "tokenizer.json";
 /// Takes the weights of a language model of the family `name`.
 pub(crate) fn take(weights: &mut Weights, name: &'static str, config: &LlamaConfig) -> OpenedModel {
     Ok(Box::new(TextModel::<LlamaLayer>::take(
+        weights, name, config,
+    )?))
+}
+
+/// As [`take`], of a model with several streams of hidden states.
+pub(crate) fn take_streams(
+    weights: &mut Weights,
+    name: &'static str,
+    config: &LlamaConfig,
+) -> OpenedModel {
+    Ok(Box::new(TextModel::<StreamLayer>::take(
         weights, name, config,
     )?))
 }

@@ -103,24 +103,45 @@ impl ClipImageProcessor {
         &self.scale
     }
 
+    /// The side of the square that images become, pixels.
+    ///
+    /// # Errors
+    /// When the file configures none.
+    pub(crate) fn fixed_side(&self) -> Result<usize, MllmError> {
+        match self.made() {
+            Some((_, height, width)) if height == width => Ok(height as usize),
+            _ => Err(self.wrong_side("is no square; the vision tower takes squares".into())),
+        }
+    }
+
+    /// The error of a configured size.
+    pub(crate) fn wrong_side(&self, problem: String) -> MllmError {
+        MllmError::Config {
+            path: self.path.clone(),
+            key: self.made().map_or("size", |(key, ..)| key).into(),
+            problem,
+        }
+    }
+
+    /// The key of the configured size, and the height and width that images become.
+    fn made(&self) -> Option<(&'static str, u32, u32)> {
+        match (self.crop, self.resize) {
+            (Some((height, width)), _) => Some(("crop_size", height, width)),
+            (None, Some((TargetSize::Exact { height, width }, _))) => Some(("size", height, width)),
+            _ => None,
+        }
+    }
+
     /// Checks that the configured size is the square input of the vision tower, where one is
     /// configured.
     pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {
-        let (key, height, width) = match (self.crop, self.resize) {
-            (Some((height, width)), _) => ("crop_size", height, width),
-            (None, Some((TargetSize::Exact { height, width }, _))) => ("size", height, width),
-            _ => return Ok(()),
-        };
-        if height as usize == side && width as usize == side {
-            return Ok(());
+        match self.made() {
+            Some((_, height, width)) if [height, width] != [side as u32; 2] => Err(self
+                .wrong_side(format!(
+                    "is {width} x {height} pixels; the vision tower takes {side} x {side}"
+                ))),
+            _ => Ok(()),
         }
-        Err(MllmError::Config {
-            path: self.path.clone(),
-            key: key.into(),
-            problem: format!(
-                "is {width} x {height} pixels; the vision tower takes {side} x {side}"
-            ),
-        })
     }
 
     /// Converts an image to pixel values (3, `side`, `side`).
