@@ -7,7 +7,7 @@ use planagent::planning::{
 };
 use planagent::road::LaneMap;
 use planagent::{Planner, Scene, Trajectory as Planned};
-use planagent_agent::planner::{check_plan, kept};
+use planagent_agent::planner::{check_plan, interned};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -80,7 +80,7 @@ impl Drop for PythonPlanner {
 
 /// The entry of a planner in Python in the registry.
 pub(crate) fn entry(name: String, number: usize, relay: Arc<Relay>) -> PlannerEntry {
-    let name = PlannerName::new(kept(name));
+    let name = PlannerName::new(interned(name));
     PlannerEntry::new(
         name,
         "a planner in Python",
