@@ -1,7 +1,7 @@
 //! `planagent bench --vs openvino`: a stub behind the worker's protocol, refusals, and OpenVINO.
 
 use super::{bench, fixture, rows};
-use crate::cli::{read_json, refused, run};
+use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::{Needy, openvino_python, python};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -164,7 +164,16 @@ fn what_openvino_cannot_do_is_refused_before_anything_is_measured() -> Needy {
         found.contains("stub 1.0 refuses to export") && found.contains(model[0]),
         "{found}"
     );
-    let found = said(&["nano"], &stub, "int8");
+    // Where the program has no folder of nano, it has nano within itself.
+    let alone = planagent()
+        .env_remove("PLANAGENT_MODELS")
+        .current_dir(work.path())
+        .args(["bench", "nano"])
+        .args(beside(&stub, "int8"))
+        .output()
+        .unwrap();
+    let found = String::from_utf8(alone.stderr).unwrap();
+    assert_eq!(alone.status.code(), Some(2), "{found}");
     assert!(found.contains("a file of this program alone"), "{found}");
     let pair = format!("{}/gguf", model[0]);
     let found = said(&[pair.as_str()], &stub, "int8");

@@ -346,6 +346,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         WEIGHTS,
     ),
     (
+        "docs/results.md",
+        "planagent dataset --for messages --out data/agents --states 2849 --validation 300 --model nano --prompt-set brief --agents gpt-driver,dilu --modified 0.3",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 28 --challenge both --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief --adapter adapter",
+        WEIGHTS,
+    ),
+    (
         "docs/teach.md",
         "planagent simulate --model FOLDER --adapter adapter",
         WEIGHTS,

@@ -168,7 +168,7 @@ pub(super) enum Command {
     /// codes are good ones, whether picture and reasoning matter: as Markdown, JSON and HTML.
     #[command(after_long_help = help::CARD)]
     Card(CardArguments),
-    /// Measure planning calls of local models, also against other engines.
+    /// Measure planning calls of local models, also against others.
     #[command(after_long_help = help::BENCH)]
     Bench(BenchArguments),
     /// Print every setting with its value and its origin.
