@@ -1,7 +1,6 @@
 //! Forms of answers of language agents beside code: a list of waypoints, and one of five actions.
 
 use crate::environment::choice::choice;
-use crate::environment::coordinates::decimal;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -27,7 +26,7 @@ impl fmt::Display for WaypointList {
         let places = self
             .0
             .iter()
-            .map(|place| format!("({},{})", decimal(place.right), decimal(place.ahead)));
+            .map(|place| format!("({:.2},{:.2})", place.right, place.ahead));
         write!(f, "[{}]", places.collect::<Vec<_>>().join(", "))
     }
 }

@@ -55,8 +55,10 @@ impl Taught for GptDriver {
             conflicts.join("; ")
         };
         let now = observation.motion.speed() * HALF_SECOND;
+        // The sign of what rounds to zero says nothing that could be learned.
+        let places = waypoints.to_string().replace("-0.00", "0.00");
         format!(
-            "Reasons: {reasons}\nAction: {}\nTrajectory: {waypoints}",
+            "Reasons: {reasons}\nAction: {}\nTrajectory: {places}",
             action(&waypoints, now)
         )
     }

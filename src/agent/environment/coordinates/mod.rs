@@ -22,7 +22,7 @@ fn seen_from(from: &Pose, point: Point) -> String {
 }
 
 /// Two decimals; zero has no sign.
-pub(crate) fn decimal(value: f64) -> String {
+fn decimal(value: f64) -> String {
     let text = format!("{value:.2}");
     if text == "-0.00" {
         "0.00".to_owned()
