@@ -144,7 +144,7 @@ pub(super) fn assert_close_thinned(what: &str, found: &Tensor, expected: &Tensor
     let mut found = found.clone();
     for (axis, &kept) in expected.dims().iter().enumerate() {
         let size = found.dim(axis).unwrap();
-        if kept < size && size % kept == 0 {
+        if kept < size && size.is_multiple_of(kept) {
             let step = (size / kept) as u32;
             let places = Tensor::arange_step(0, size as u32, step, &Device::Cpu).unwrap();
             found = found.index_select(&places, axis).unwrap();

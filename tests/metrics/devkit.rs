@@ -43,8 +43,11 @@ impl Compared {
     }
 }
 
+/// Compares the vectors of one kind.
+type Compare = fn() -> Result<Vec<Compared>, Missing>;
+
 /// Every comparison with a vector: how many there are of each kind, and their results.
-const KINDS: [(usize, fn() -> Result<Vec<Compared>, Missing>); 6] = [
+const KINDS: [(usize, Compare); 6] = [
     (8, motion),
     (1, comfort),
     (7, collisions),

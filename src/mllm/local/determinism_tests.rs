@@ -40,6 +40,34 @@ fn with(mut value: Value, keys: Value) -> Value {
     value
 }
 
+/// A picture of this size.
+fn picture(width: u32, height: u32) -> RgbImage {
+    RgbImage::from_fn(width, height, |x, y| {
+        image::Rgb([x as u8, y as u8, (x * y) as u8])
+    })
+}
+
+/// A Gemma 4 around this decoder.
+fn pooled(text: &Value, varied: &Value) -> Value {
+    json!({"image_token_id": 3, "text_config": with(text.clone(), varied.clone()),
+        "vision_config": {"hidden_size": 128, "intermediate_size": 192, "num_hidden_layers": 3, "num_attention_heads": 4,
+            "num_key_value_heads": 2, "head_dim": 32, "patch_size": 8, "position_embedding_size": 120,
+            "use_clipped_linears": true, "standardize": true}})
+}
+
+/// A Gemma 3n around this decoder.
+fn fused(text: &Value, streamed: &Value) -> Value {
+    json!({"image_token_id": 3, "text_config": with(text.clone(), streamed.clone()),
+        "vision_soft_tokens_per_image": 16, "audio_config": {"vocab_offset": 509, "vocab_size": 3}, "vision_config": {
+            "vocab_offset": 506, "vocab_size": 3, "model_args": {"stem_size": 32, "msfa_output_resolution": 4, "block_args": [
+                [{"block_type": "er", "out_chs": 48, "stride": 2, "exp_ratio": 4}],
+                [{"block_type": "uir", "out_chs": 64, "stride": 2, "dw_kernel_size_start": 3, "dw_kernel_size_mid": 5}],
+                [{"block_type": "uir", "out_chs": 96, "stride": 2, "exp_ratio": 4},
+                    {"block_type": "mqa", "out_chs": 96, "stride": 1, "num_heads": 4, "key_dim": 32, "value_dim": 32,
+                        "kv_stride": 2}],
+                [{"block_type": "uir", "out_chs": 128, "stride": 2, "exp_ratio": 4}]]}}})
+}
+
 /// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to
 /// split matrix products over threads: every family that is built in.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
@@ -85,29 +113,13 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
         "layer_types": (0..text["num_hidden_layers"].as_u64().unwrap())
             .map(|layer| if layer % 2 == 1 { "full_attention" } else { "sliding_attention" })
             .collect::<Vec<_>>()});
-    let pooled = json!({"image_token_id": 3, "text_config": with(text.clone(), varied.clone()),
-        "vision_config": {"hidden_size": 128, "intermediate_size": 192, "num_hidden_layers": 3, "num_attention_heads": 4,
-            "num_key_value_heads": 2, "head_dim": 32, "patch_size": 8, "position_embedding_size": 120,
-            "use_clipped_linears": true, "standardize": true}});
+    let pooled = pooled(&text, &varied);
     let streamed = json!({"model_type": "gemma3n_text", "head_dim": 32, "num_kv_shared_layers": 2, "sliding_window": 24,
         "hidden_size_per_layer_input": 32, "laurel_rank": 32, "layer_types": varied["layer_types"],
         "activation_sparsity_pattern": vec![0.7; text["num_hidden_layers"].as_u64().unwrap() as usize]});
-    let fused = json!({"image_token_id": 3, "text_config": with(text.clone(), streamed.clone()),
-        "vision_soft_tokens_per_image": 16, "audio_config": {"vocab_offset": 509, "vocab_size": 3}, "vision_config": {
-            "vocab_offset": 506, "vocab_size": 3, "model_args": {"stem_size": 32, "msfa_output_resolution": 4, "block_args": [
-                [{"block_type": "er", "out_chs": 48, "stride": 2, "exp_ratio": 4}],
-                [{"block_type": "uir", "out_chs": 64, "stride": 2, "dw_kernel_size_start": 3, "dw_kernel_size_mid": 5}],
-                [{"block_type": "uir", "out_chs": 96, "stride": 2, "exp_ratio": 4},
-                    {"block_type": "mqa", "out_chs": 96, "stride": 1, "num_heads": 4, "key_dim": 32, "value_dim": 32,
-                        "kv_stride": 2}],
-                [{"block_type": "uir", "out_chs": 128, "stride": 2, "exp_ratio": 4}]]}}});
+    let fused = fused(&text, &streamed);
     let whole = json!({"embed_dim": 192, "hidden_size": 256});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
-    let picture = |width, height| {
-        RgbImage::from_fn(width, height, |x, y| {
-            image::Rgb([x as u8, y as u8, (x * y) as u8])
-        })
-    };
     let convolve = json!({"model_type": "lfm2", "block_auto_adjust_ff_dim": false,
         "layer_types": ["conv", "conv", "full_attention", "conv", "full_attention", "conv"]});
     let mut convolving = tiles(json!({"projector_hidden_size": 128}));

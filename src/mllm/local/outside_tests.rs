@@ -18,8 +18,11 @@ use serde_json::Value;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
+/// The check of a model.
+type Check = fn(&str);
+
 /// Models of larger shapes than those of `tests/fixtures`, and the check of each.
-const TINY: [(&str, fn(&str)); 11] = [
+const TINY: [(&str, Check); 11] = [
     ("text/llama", check_text),
     ("text/qwen2", check_text),
     ("text/qwen3", check_text),
