@@ -221,13 +221,14 @@ def main() -> None:
     per_epoch = math.ceil(len(train) / chosen.batch)
     steps, step = chosen.epochs * per_epoch, 0
     checkpoint = chosen.out / "checkpoint.pt"
-    history, seconds = [], 0.0
+    history, seconds, before = [], 0.0, None
     if checkpoint.exists():
         state = torch.load(checkpoint, weights_only=True)
-        step, history, seconds = state["step"], state["history"], state["seconds"]
+        step, history, seconds, before = state["step"], state["history"], state["seconds"], state["before"]
         set_peft_model_state_dict(model, state["adapter"])
         optimizer.load_state_dict(state["optimizer"])
-    before = evaluated(model, validation, chosen.batch, processor, device) if step == 0 else None
+    else:
+        before = evaluated(model, validation, chosen.batch, processor, device)
     print(f"{len(train)} chats, {sum(len(row.ids) for row in train)} tokens, {steps} steps; validation loss {before}", flush=True)
     began = last = time.monotonic()
     while step < steps:
@@ -252,6 +253,7 @@ def main() -> None:
                         "step": step,
                         "history": history,
                         "seconds": seconds + last - began,
+                        "before": before,
                         "adapter": get_peft_model_state_dict(model),
                         "optimizer": optimizer.state_dict(),
                     },
