@@ -16,7 +16,7 @@ pub(crate) trait Taught: ChatAgent {
     ///
     /// # Errors
     /// When a prompt cannot be rendered.
-    fn ask_taught(&self, observation: &Self::Observation<'_>) -> Result<Questioned, PromptError>;
+    fn question(&self, observation: &Self::Observation<'_>) -> Result<QuestionTexts, PromptError>;
 
     /// The best answer at the present of a simulation whose best planner code is this one; `None`
     /// where there is none.
@@ -31,8 +31,8 @@ pub(crate) trait Taught: ChatAgent {
     ) -> String;
 }
 
-/// The question of a planning call.
-pub(crate) struct Questioned {
+/// The texts of a question to a model.
+pub(crate) struct QuestionTexts {
     pub(crate) system: String,
     pub(crate) prompt: String,
 }
@@ -127,7 +127,7 @@ fn taught<A: Taught>(
     let Some(answer) = agent.best(simulation, best) else {
         return Ok(None);
     };
-    let Questioned { system, prompt } = agent.ask_taught(&observation)?;
+    let QuestionTexts { system, prompt } = agent.question(&observation)?;
     Ok(Some(TaughtAnswer {
         system,
         prompt,

@@ -196,6 +196,26 @@ pub struct Tiles {
     pub height: u32,
 }
 
+impl Tiles {
+    /// An image in one view with these pixel values.
+    pub(crate) fn one_view(image: &RgbImage, pixels: Tensor) -> Self {
+        Self {
+            pixels: vec![pixels],
+            width: image.width(),
+            height: image.height(),
+        }
+    }
+
+    /// The pixel values of an image in one view.
+    ///
+    /// # Errors
+    /// When there is no image.
+    pub(crate) fn view(&self) -> candle_core::Result<&Tensor> {
+        let view = self.pixels.first();
+        view.ok_or_else(|| candle_core::Error::Msg("there is no image".to_owned()))
+    }
+}
+
 /// How images are shown to a model, in its description; what is not set is as the model's files
 /// say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

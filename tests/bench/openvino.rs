@@ -1,6 +1,6 @@
 //! `planagent bench --vs openvino`: a stub behind the worker's protocol, refusals, and OpenVINO.
 
-use super::{bench, fixture, rows};
+use super::{bench, fixture, rows, steps_by};
 use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::{Needy, openvino_python, python};
 use std::fs;
@@ -94,21 +94,9 @@ fn a_stub_of_openvino_runs_the_same_steps() -> Needy {
     let (code, figures) = bench(&arguments, &out);
     assert_eq!(code, 0, "{figures}");
     let rows = rows(&out);
-    let by = |engine: &str| {
-        let rows = rows
-            .iter()
-            .filter(|row| row["row"] == "iteration" && row["engine"] == engine);
-        rows.map(|row| {
-            let steps = row["steps"].as_array().unwrap().iter();
-            (
-                row["workload"].clone(),
-                steps.map(|timed| timed["step"].clone()).collect::<Vec<_>>(),
-            )
-        })
-        .collect::<Vec<_>>()
-    };
-    assert!(by("planagent").len() >= 2);
-    assert_eq!(by("planagent"), by("openvino"));
+    let ours = steps_by(&rows, "planagent");
+    assert!(ours.len() >= 2);
+    assert_eq!(ours, steps_by(&rows, "openvino"));
     let theirs = &figures["models"][1];
     assert_eq!(theirs["engine"], "openvino");
     assert_eq!(theirs["loaded"]["version"], "1.0 (a stub)");

@@ -9,8 +9,8 @@ use planagent_agent::reasoning::PromptSet;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
 use planagent_lab::dataset::{
-    Counts, MessageModel, Settings, Teacher, check_folder, check_messages, write_message_card,
-    write_messages, write_split, write_twins,
+    Chats, Counts, MessageModel, Settings, Teacher, check_folder, check_messages,
+    write_message_card, write_messages, write_split, write_twins,
 };
 use planagent_mllm::ModelSource;
 use planagent_runs::report::check_writable;
@@ -125,15 +125,18 @@ fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyh
     for name in &flags.agents {
         teachers.extend(Teacher::find(name)?);
     }
-    check_messages(&flags.out, &settings, &model, &teachers)?;
+    let chats = Chats {
+        model: &model,
+        teachers: &teachers,
+    };
+    check_messages(&flags.out, &settings, chats)?;
     for (split, states) in [
         (Split::Train, flags.states),
         (Split::Validation, flags.validation),
     ] {
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
-        let of = (&model, &teachers[..]);
-        let written = write_messages(&flags.out, split, states, &settings, of, &|states| {
+        let written = write_messages(&flags.out, split, states, &settings, chats, &|states| {
             bar.inc(states as u64);
         })?;
         bar.finish_and_clear();
@@ -143,7 +146,7 @@ fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyh
                 .json(&serde_json::json!({"split": split.as_str(), "conversations": written}))?;
         }
     }
-    write_message_card(&flags.out, &settings, (&model, &teachers[..]))?;
+    write_message_card(&flags.out, &settings, chats)?;
     printer.note(format!(
         "data card: {}",
         flags.out.join("README.md").display()

@@ -19,7 +19,7 @@ pub mod twins;
 
 pub use count::Counts;
 pub(crate) use label::LabeledState;
-pub use messages::{MessageModel, check_messages, write_message_card, write_messages};
+pub use messages::{Chats, MessageModel, check_messages, write_message_card, write_messages};
 pub use planagent_language_agents::Teacher;
 pub use reward::{Reward, RewardError, RewardKind, RewardOutcome, rewards};
 pub(crate) use scenes::scenarios;

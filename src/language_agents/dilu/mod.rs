@@ -16,7 +16,7 @@ pub use lesson::{Drive, lesson_items};
 use crate::agent::{ChatAgent, Parts, Reply, in_answer};
 use crate::chat::{Asked, Chat};
 use crate::memory::{DiluItem, Memory, open};
-use crate::teaching::Questioned;
+use crate::teaching::QuestionTexts;
 use answer::{extraction, grammar, read_action, read_extraction};
 pub(crate) use control::SetPoints;
 use describe::description;
@@ -104,7 +104,7 @@ impl Dilu {
     }
 
     /// What the model is asked, with the decisions that it remembers.
-    fn questioned(&self, observation: &Observation) -> Result<Questioned, PromptError> {
+    fn question_texts(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
         let recalled = self
             .recall
             .nearest(&observation.description, self.settings.examples);
@@ -112,7 +112,7 @@ impl Dilu {
             .into_iter()
             .map(|item| context! { description => &item.description, answer => &item.answer })
             .collect();
-        Ok(Questioned {
+        Ok(QuestionTexts {
             system: self.prompts.render("system", context! {})?,
             prompt: self.prompts.render(
                 "question",
@@ -185,7 +185,7 @@ impl ChatAgent for Dilu {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<DrivingAction>, ReasoningError> {
-        let Questioned { system, prompt } = self.questioned(observation)?;
+        let QuestionTexts { system, prompt } = self.question_texts(observation)?;
         chat.open(system)?;
         let asked = Asked {
             round: RoundName::Action,

@@ -3,7 +3,7 @@
 use super::{Dilu, Observation};
 use crate::memory::DELIMITER;
 use crate::oracle;
-use crate::teaching::{Questioned, Taught};
+use crate::teaching::{QuestionTexts, Taught};
 use planagent_agent::environment::{CenterlineName, GraphedScene};
 use planagent_agent::reasoning::{DrivingAction, PromptError};
 use planagent_agent::simulation::ClosedLoop;
@@ -14,8 +14,8 @@ use planagent_world::SignalStatus;
 const LIGHT: f64 = 60.0;
 
 impl Taught for Dilu {
-    fn ask_taught(&self, observation: &Observation) -> Result<Questioned, PromptError> {
-        self.questioned(observation)
+    fn question(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
+        self.question_texts(observation)
     }
 
     fn best(&self, simulation: &ClosedLoop<'_>, _: &Candidate) -> Option<DrivingAction> {

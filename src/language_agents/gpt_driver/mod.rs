@@ -8,7 +8,7 @@ mod taught;
 
 use crate::agent::{ChatAgent, Parts, Reply};
 use crate::chat::{Asked, Chat};
-use crate::teaching::Questioned;
+use crate::teaching::QuestionTexts;
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
 pub(crate) use grammar::{action, reasons};
@@ -98,8 +98,8 @@ fn nearest_objects<'a>(scene: &SceneView<'a>) -> impl Iterator<Item = NamedObjec
 
 impl GptDriver {
     /// What the model is asked.
-    fn questioned(&self, observation: &Observation) -> Result<Questioned, PromptError> {
-        Ok(Questioned {
+    fn question_texts(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
+        Ok(QuestionTexts {
             system: self.prompts.render("system", context! {})?,
             prompt: self.prompts.render(
                 "question",
@@ -139,7 +139,7 @@ impl ChatAgent for GptDriver {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<WaypointList>, ReasoningError> {
-        let Questioned { system, prompt } = self.questioned(observation)?;
+        let QuestionTexts { system, prompt } = self.question_texts(observation)?;
         chat.open(system)?;
         let asked = Asked {
             round: RoundName::Waypoints,

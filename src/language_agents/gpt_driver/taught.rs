@@ -4,7 +4,7 @@
 use super::grammar::TIMES;
 use super::{GptDriver, NamedObject, Observation, nearest_objects};
 use crate::oracle;
-use crate::teaching::{Questioned, Taught};
+use crate::teaching::{QuestionTexts, Taught};
 use planagent_agent::environment::GraphedScene;
 use planagent_agent::reasoning::{PromptError, SeenPlace, WaypointList};
 use planagent_agent::simulation::ClosedLoop;
@@ -28,8 +28,8 @@ const STANDING: f64 = 0.1;
 const HALF_SECOND: f64 = 0.5;
 
 impl Taught for GptDriver {
-    fn ask_taught(&self, observation: &Observation) -> Result<Questioned, PromptError> {
-        self.questioned(observation)
+    fn question(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
+        self.question_texts(observation)
     }
 
     fn best(&self, simulation: &ClosedLoop<'_>, code: &Candidate) -> Option<WaypointList> {

@@ -7,7 +7,7 @@ use crate::checkpoint::ModelFiles;
 use crate::gguf::names::{EMBEDDING, FINAL_NORM, GEMMA_LAYERS, Names, OUTPUT, VISION_LAYERS};
 use crate::gguf::{
     Described, Description, GgufLayout, Header, TextFiles, TowerDescription, decoder, gemma,
-    no_tower, tower_with_activation,
+    is_pair, no_tower, tower_with_activation,
 };
 use crate::vision::PixelScale;
 use planagent_kernels::Activation;
@@ -59,11 +59,7 @@ pub(super) struct Gemma3Gguf;
 
 impl GgufLayout for Gemma3Gguf {
     fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
-        let projector = tower.and_then(|tower| tower.projector().ok().flatten());
-        decoder
-            .architecture()
-            .is_ok_and(|decoder| decoder == gemma::ARCHITECTURE)
-            && projector == Some(PROJECTOR)
+        is_pair(decoder, tower, &[gemma::ARCHITECTURE], PROJECTOR)
     }
 
     fn small_files(

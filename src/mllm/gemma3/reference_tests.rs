@@ -128,19 +128,7 @@ const DECODER_FAULTS: [Fault; 6] = [
 fn errors_that_are_easily_made_lead_far_away() {
     let prompts = Prompts::from_fixture(FIXTURE);
     let run = SecondImage::from_prompts(&prompts);
-    let right = assembled(&Parts::from_folder(&prompts.folder));
-    let image = prompts.image(1);
-    let features = right.encode_image(&image).unwrap();
-    run.logits(&right, &features).assert_none("nothing wrong");
-    for (what, fault) in IMAGE_FAULTS {
-        let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &model.encode_image(&image).unwrap())
-            .assert_far(what);
-    }
-    for (what, fault) in DECODER_FAULTS {
-        let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &features).assert_logits_far(what);
-    }
+    let (right, features) = run.check_faults(&prompts, assembled, [&IMAGE_FAULTS, &DECODER_FAULTS]);
     let seen: [(&str, Seen); 2] = [
         ("a causal mask within the image", |_| 0..0),
         ("begin and end among the image's tokens", |image| {
@@ -160,7 +148,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             .assert_far(what);
     }
     // 36 patches, of which blocks of 2 by 2 become a token.
-    let pixels = &right.preprocess(&image).unwrap().pixels[0];
+    let pixels = &right.preprocess(&prompts.image(1)).unwrap().pixels[0];
     let encoder = &right.encoder;
     let grid = encoder
         .tower

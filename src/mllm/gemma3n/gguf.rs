@@ -4,26 +4,10 @@
 use super::embedder::SOUND;
 use crate::MllmError;
 use crate::checkpoint::{KNOWN_TOKENS, ModelFiles};
-use crate::gguf::names::{
-    EMBEDDING, FINAL_NORM, GEMMA3N_LAYERS, GEMMA3N_SINGLE, GEMMA4_SINGLE, Names, OUTPUT,
-};
-use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma3n, no_tower};
+use crate::gguf::names::GEMMA3N_NAMES;
+use crate::gguf::{Described, GgufLayout, Header, TextFiles, gemma3n, is_pair, no_tower};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-
-const DECODER: Names = Names {
-    single: &[
-        EMBEDDING,
-        FINAL_NORM,
-        OUTPUT,
-        GEMMA4_SINGLE[0],
-        GEMMA4_SINGLE[1],
-        GEMMA4_SINGLE[2],
-        GEMMA3N_SINGLE[0],
-        GEMMA3N_SINGLE[1],
-    ],
-    layers: &[GEMMA3N_LAYERS],
-};
 
 /// Beginnings of names in the tower's file, and canonical ones.
 const TOWER: [(&str, &str); 3] = [
@@ -55,11 +39,7 @@ pub(super) struct Gemma3nGguf;
 
 impl GgufLayout for Gemma3nGguf {
     fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
-        let projector = tower.and_then(|tower| tower.projector().ok().flatten());
-        decoder
-            .architecture()
-            .is_ok_and(|decoder| decoder == gemma3n::ARCHITECTURE)
-            && projector == Some(PROJECTOR)
+        is_pair(decoder, tower, &[gemma3n::ARCHITECTURE], PROJECTOR)
     }
 
     fn small_files(
@@ -113,7 +93,7 @@ impl GgufLayout for Gemma3nGguf {
             let rest = canonical.strip_prefix(own)?;
             Some(format!("{layout}{rest}"))
         });
-        tower.or_else(|| DECODER.in_gguf(canonical))
+        tower.or_else(|| GEMMA3N_NAMES.in_gguf(canonical))
     }
 
     fn norms_have_one(&self) -> bool {
@@ -140,7 +120,7 @@ fn canonical_name(name: &str) -> Option<String> {
         Some(part) => (part, SOUND),
         None => match name.strip_prefix("mm.") {
             Some(part) => (part, "multi_modal_projector"),
-            None => return DECODER.to_canonical(name),
+            None => return GEMMA3N_NAMES.to_canonical(name),
         },
     };
     let (_, canonical) = BETWEEN.iter().find(|(layout, _)| *layout == part)?;

@@ -77,18 +77,12 @@ impl VisionLanguageModel for Gemma3n {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        Ok(Tiles {
-            pixels: vec![self.processor.process(image, self.side)?],
-            width: image.width(),
-            height: image.height(),
-        })
+        let pixels = self.processor.process(image, self.side)?;
+        Ok(Tiles::one_view(image, pixels))
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let Some(pixels) = tiles.pixels.first() else {
-            candle_core::bail!("there is no image")
-        };
-        let outputs = self.tower.forward(pixels)?;
+        let outputs = self.tower.forward(tiles.view()?)?;
         ImageFeatures::whole(self.decoder.embedder.seen(&outputs)?)
     }
 

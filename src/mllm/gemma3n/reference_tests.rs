@@ -241,19 +241,7 @@ const DECODER_FAULTS: [Fault; 8] = [
 fn errors_that_are_easily_made_lead_far_away() {
     let prompts = Prompts::from_fixture(FIXTURE);
     let run = SecondImage::from_prompts(&prompts);
-    let right = assembled(&Parts::from_folder(&prompts.folder));
-    let image = prompts.image(1);
-    let features = right.encode_image(&image).unwrap();
-    run.logits(&right, &features).assert_none("nothing wrong");
-    for (what, fault) in IMAGE_FAULTS {
-        let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &model.encode_image(&image).unwrap())
-            .assert_far(what);
-    }
-    for (what, fault) in DECODER_FAULTS {
-        let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &features).assert_logits_far(what);
-    }
+    let (right, features) = run.check_faults(&prompts, assembled, [&IMAGE_FAULTS, &DECODER_FAULTS]);
     let scale = 32_f64.sqrt();
     let scaled = whole((&features.rows * scale).unwrap());
     run.logits(&right, &scaled)

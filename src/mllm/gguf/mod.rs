@@ -181,6 +181,21 @@ pub(crate) fn tower_for(
     }
 }
 
+/// Whether these are files of a decoder of one of these architectures, and of a tower with this kind
+/// of projector.
+pub(crate) fn is_pair(
+    decoder: &Header,
+    tower: Option<&Header>,
+    architectures: &[&str],
+    projector: &str,
+) -> bool {
+    let found = tower.and_then(|tower| tower.projector().ok().flatten());
+    let is_decoder = decoder
+        .architecture()
+        .is_ok_and(|decoder| architectures.contains(&decoder));
+    is_decoder && found == Some(projector)
+}
+
 /// The error of a decoder that needs a tower and has none.
 pub(crate) fn no_tower(decoder: &Header, mark: &str) -> MllmError {
     MllmError::MissingFile {

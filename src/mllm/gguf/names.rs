@@ -52,7 +52,7 @@ pub(crate) const GEMMA4_LAYERS: (&str, &str, &[Pair]) =
     ("blk.", "language_model.layers.", OF_GEMMA4);
 
 /// The layers of a Gemma 3n: those of a Gemma 4 but for the factor, and what moves its streams.
-pub(crate) const GEMMA3N_LAYERS: (&str, &str, &[Pair]) = (
+const GEMMA3N_LAYERS: (&str, &str, &[Pair]) = (
     "blk.",
     "language_model.layers.",
     GEMMA_PARTS.split_at(GEMMA_PARTS.len() - 1).0,
@@ -108,17 +108,26 @@ pub(crate) const GEMMA4_SINGLE: [Pair; 3] = [
     ),
 ];
 
-/// The decoder's tensors of a Gemma 3n for its streams: all but the first in one tensor.
-pub(crate) const GEMMA3N_SINGLE: [Pair; 2] = [
-    (
-        "altup_proj.weight",
-        "language_model.altup_projections.weight",
-    ),
-    (
-        "altup_unembd_proj.weight",
-        "language_model.altup_unembed_projections.weight",
-    ),
-];
+/// The decoder of a Gemma 3n; its streams are all but the first in one tensor.
+pub(crate) const GEMMA3N_NAMES: Names = Names {
+    single: &[
+        EMBEDDING,
+        FINAL_NORM,
+        OUTPUT,
+        GEMMA4_SINGLE[0],
+        GEMMA4_SINGLE[1],
+        GEMMA4_SINGLE[2],
+        (
+            "altup_proj.weight",
+            "language_model.altup_projections.weight",
+        ),
+        (
+            "altup_unembd_proj.weight",
+            "language_model.altup_unembed_projections.weight",
+        ),
+    ],
+    layers: &[GEMMA3N_LAYERS],
+};
 
 /// The final norm of an LFM2.
 pub(crate) const LFM2_NORM: Pair = ("token_embd_norm.weight", "language_model.norm.weight");

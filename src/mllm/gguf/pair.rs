@@ -2,7 +2,7 @@
 //! metadata.
 
 use super::names::Names;
-use super::{Described, Entries, GgufLayout, Header, TextFiles, no_tower};
+use super::{Described, Entries, GgufLayout, Header, TextFiles, is_pair, no_tower};
 use crate::MllmError;
 use crate::checkpoint::{ModelFiles, VisionConfig};
 use planagent_kernels::Activation;
@@ -74,11 +74,7 @@ pub(crate) fn as_stored(_file: &Header, name: &str) -> Result<Option<String>, Ml
 
 impl GgufLayout for PairLayout {
     fn opens(&self, decoder: &Header, tower: Option<&Header>) -> bool {
-        let projector = tower.and_then(|tower| tower.projector().ok().flatten());
-        decoder
-            .architecture()
-            .is_ok_and(|decoder| self.decoders.contains(&decoder))
-            && projector == Some(self.projector)
+        is_pair(decoder, tower, self.decoders, self.projector)
     }
 
     fn small_files(

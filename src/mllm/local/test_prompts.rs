@@ -428,6 +428,30 @@ impl<'a> SecondImage<'a> {
         self.deviation(model, features, &input)
     }
 
+    /// Checks that a model of the reference's parts does not deviate, and that each fault of encoder or
+    /// decoder leads far away. Gives the right model with its features.
+    pub(crate) fn check_faults<M: VisionLanguageModel>(
+        &self,
+        prompts: &Prompts,
+        assembled: fn(&Parts) -> M,
+        [of_image, of_decoder]: [&[Fault]; 2],
+    ) -> (M, ImageFeatures) {
+        let right = assembled(&Parts::from_folder(&prompts.folder));
+        let image = prompts.image(1);
+        let features = right.encode_image(&image).unwrap();
+        self.logits(&right, &features).assert_none("nothing wrong");
+        for &(what, fault) in of_image {
+            let model = assembled(&Parts::wrong(&prompts.folder, fault));
+            self.logits(&model, &model.encode_image(&image).unwrap())
+                .assert_far(what);
+        }
+        for &(what, fault) in of_decoder {
+            let model = assembled(&Parts::wrong(&prompts.folder, fault));
+            self.logits(&model, &features).assert_logits_far(what);
+        }
+        (right, features)
+    }
+
     /// The deviation of a model whose tokens stand elsewhere.
     pub(crate) fn placed(
         &self,

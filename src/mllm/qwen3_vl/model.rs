@@ -87,18 +87,12 @@ impl<E: PatchEncoder> VisionLanguageModel for PatchModel<E> {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        Ok(Tiles {
-            pixels: vec![self.processor.process(image)?],
-            width: image.width(),
-            height: image.height(),
-        })
+        let pixels = self.processor.process(image)?;
+        Ok(Tiles::one_view(image, pixels))
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let Some(pixels) = tiles.pixels.first() else {
-            candle_core::bail!("there is no image")
-        };
-        self.encoder.encode(pixels)
+        self.encoder.encode(tiles.view()?)
     }
 
     fn chat_format(

@@ -3,8 +3,8 @@
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles};
 use crate::gguf::names::{
-    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, GEMMA3N_LAYERS, GEMMA3N_SINGLE,
-    GEMMA4_LAYERS, GEMMA4_SINGLE, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, GEMMA_LAYERS, GEMMA3N_NAMES, GEMMA4_LAYERS,
+    GEMMA4_SINGLE, LFM2_LAYERS, LFM2_NORM, Names, OUTPUT, QWEN35_LAYERS, ROTARY,
 };
 use crate::gguf::{
     Changed, Described, Description, GgufLayout, Header, TextFiles, as_stored, decoder, gemma,
@@ -33,20 +33,6 @@ const GEMMA4_NAMES: Names = Names {
         GEMMA4_SINGLE[2],
     ],
     layers: &[GEMMA4_LAYERS],
-};
-
-const GEMMA3N_NAMES: Names = Names {
-    single: &[
-        EMBEDDING,
-        FINAL_NORM,
-        OUTPUT,
-        GEMMA4_SINGLE[0],
-        GEMMA4_SINGLE[1],
-        GEMMA4_SINGLE[2],
-        GEMMA3N_SINGLE[0],
-        GEMMA3N_SINGLE[1],
-    ],
-    layers: &[GEMMA3N_LAYERS],
 };
 
 const LFM2_NAMES: Names = Names {

@@ -1,6 +1,6 @@
 //! The data card of a dataset of messages, and LLaMA-Factory's list of its files.
 
-use super::{BESIDE, CONVERSATIONS, DatasetError, MessageModel, complete, path};
+use super::{BESIDE, CONVERSATIONS, Chats, DatasetError, MessageModel, complete, path};
 use crate::dataset::shard::ShardError;
 use crate::dataset::{Settings, Split, Teacher};
 use crate::tokens::TokenCounter;
@@ -52,8 +52,7 @@ impl<'a> Card<'a> {
     pub(super) fn read(
         folder: &Path,
         settings: &'a Settings<'a>,
-        model: &'a MessageModel,
-        teachers: &[Teacher],
+        Chats { model, teachers }: Chats<'a>,
     ) -> Result<Self, DatasetError> {
         let splits = SPLITS
             .into_iter()

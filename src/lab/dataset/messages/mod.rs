@@ -47,6 +47,15 @@ impl MessageModel {
     }
 }
 
+/// Which chats are written.
+#[derive(Clone, Copy)]
+pub struct Chats<'a> {
+    /// The model that PlanAgent's are for.
+    pub model: &'a MessageModel,
+    /// Those of other agents.
+    pub teachers: &'a [Teacher],
+}
+
 /// `meta.json`.
 #[derive(Debug, Serialize)]
 struct Meta<'a> {
@@ -67,15 +76,15 @@ struct Meta<'a> {
     planagent: &'static str,
 }
 
-fn meta<'a>(settings: &'a Settings<'_>, model: &'a MessageModel, teachers: &[Teacher]) -> Meta<'a> {
+fn meta<'a>(settings: &'a Settings<'_>, chats: Chats<'a>) -> Meta<'a> {
     Meta {
         format: FORMAT,
         kind: CONVERSATIONS,
-        model,
+        model: chats.model,
         view_m: settings.view.meters(),
         prompt_set: settings.prompts.name(),
         prompts_blake3: settings.prompts.blake3(),
-        agents: teachers.iter().map(Teacher::name).collect(),
+        agents: chats.teachers.iter().map(Teacher::name).collect(),
         modified: settings.modified,
         seed: settings.seed,
         planagent: env!("CARGO_PKG_VERSION"),
@@ -90,10 +99,9 @@ fn meta<'a>(settings: &'a Settings<'_>, model: &'a MessageModel, teachers: &[Tea
 pub fn check_messages(
     folder: &Path,
     settings: &Settings<'_>,
-    model: &MessageModel,
-    teachers: &[Teacher],
+    chats: Chats<'_>,
 ) -> Result<(), DatasetError> {
-    shard::is_begun(folder, &meta(settings, model, teachers))?;
+    shard::is_begun(folder, &meta(settings, chats))?;
     Ok(())
 }
 
@@ -104,15 +112,15 @@ pub fn write_messages(
     split: Split,
     states: usize,
     settings: &Settings<'_>,
-    (model, teachers): (&MessageModel, &[Teacher]),
+    chats: Chats<'_>,
     on_states: &dyn Fn(usize),
 ) -> Result<usize, DatasetError> {
-    shard::open_folder(folder, &meta(settings, model, teachers))?;
+    shard::open_folder(folder, &meta(settings, chats))?;
     let (mut count, mut number) = (0, 0);
     while count < states {
         let made = match complete(folder, split, number) {
             Some(present) => present,
-            None => write_shard(folder, (split, number), settings, (model, teachers))?,
+            None => write_shard(folder, split, number, settings, chats)?,
         };
         on_states(made);
         count += made;
@@ -125,9 +133,9 @@ pub fn write_messages(
 pub fn write_message_card(
     folder: &Path,
     settings: &Settings<'_>,
-    (model, teachers): (&MessageModel, &[Teacher]),
+    chats: Chats<'_>,
 ) -> Result<(), DatasetError> {
-    let card = card::Card::read(folder, settings, model, teachers)?;
+    let card = card::Card::read(folder, settings, chats)?;
     write_file(&folder.join("README.md"), card.markdown().as_bytes())?;
     let listed = serde_json::to_string_pretty(&card.dataset_info()).map_err(ShardError::from)?;
     write_file(
@@ -151,14 +159,15 @@ fn complete(folder: &Path, split: Split, number: usize) -> Option<usize> {
 /// Writes a shard, and gives the number of its conversations.
 fn write_shard(
     folder: &Path,
-    (split, number): (Split, usize),
+    split: Split,
+    number: usize,
     settings: &Settings<'_>,
-    (model, teachers): (&MessageModel, &[Teacher]),
+    chats: Chats<'_>,
 ) -> Result<usize, DatasetError> {
     let scenarios = scenes::scenarios(split, number, settings)?;
     let made = scenarios.par_iter().map(|spec| {
         states::walk(spec, settings, &|visited, feedback| {
-            Rows::of_state(visited, feedback.as_ref(), settings, (model, teachers))
+            Rows::of_state(visited, feedback.as_ref(), settings, chats)
         })
     });
     let mut made: Vec<Rows> = made
@@ -166,7 +175,7 @@ fn write_shard(
         .into_iter()
         .flatten()
         .collect();
-    if model.image_pixels.is_some() {
+    if chats.model.image_pixels.is_some() {
         images::create_folder(folder, split.as_str(), number)?;
     }
     for (row, rows) in made.iter_mut().enumerate() {
@@ -184,7 +193,7 @@ fn write_shard(
             lines(made.iter().flat_map(|rows| &rows.preferences))?,
         ),
     ];
-    for (index, teacher) in teachers.iter().enumerate() {
+    for (index, teacher) in chats.teachers.iter().enumerate() {
         let of_agent = made
             .iter()
             .filter_map(|rows| rows.agents.get(index)?.as_ref());

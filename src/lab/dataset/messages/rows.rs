@@ -1,7 +1,7 @@
 //! The lines of the three files: conversations, preferences, tried codes.
 
 use super::answers::{self, Seen};
-use super::{MessageModel, images};
+use super::{Chats, MessageModel, images};
 use crate::dataset::Settings;
 use crate::dataset::label::{self, Instruction};
 use crate::dataset::reward::{RewardOutcome, refusal};
@@ -14,7 +14,7 @@ use planagent_agent::reasoning::{
 };
 use planagent_agent::reflection::SubScores;
 use planagent_controls::search::Candidate;
-use planagent_language_agents::{SearchedState, TaughtAnswer, Teacher};
+use planagent_language_agents::{SearchedState, TaughtAnswer};
 use serde::Serialize;
 
 /// A turn of a chat.
@@ -153,10 +153,10 @@ impl Rows {
         visited: &VisitedState<'_>,
         feedback: Option<&Feedback>,
         settings: &Settings<'_>,
-        (model, teachers): (&MessageModel, &[Teacher]),
+        chats: Chats<'_>,
     ) -> Result<Self, PromptError> {
         // A code is preferred whatever was refused before, so preferences have no feedback.
-        let first = Chat::of_state(visited, None, settings, model)?;
+        let first = Chat::of_state(visited, None, settings, chats.model)?;
         let state = StateName {
             scenario: visited.simulation.scenario().id.clone(),
             seed: settings.seed,
@@ -166,7 +166,7 @@ impl Rows {
             driven: driven_text(visited.driven),
         };
         let messages = match feedback {
-            Some(feedback) => Chat::of_state(visited, Some(feedback), settings, model)?,
+            Some(feedback) => Chat::of_state(visited, Some(feedback), settings, chats.model)?,
             None => first.clone(),
         }
         .whole(visited.best);
@@ -188,7 +188,7 @@ impl Rows {
             graph: visited.graph,
             best: visited.best,
         };
-        let agents = teachers.iter().map(|teacher| {
+        let agents = chats.teachers.iter().map(|teacher| {
             let taught = teacher.teach(searched)?;
             Ok(taught.map(|taught| AgentConversation::new(taught, state.clone())))
         });
@@ -206,7 +206,7 @@ impl Rows {
                 rethink: feedback.is_some(),
                 state,
             },
-            image: model.image_pixels.map(|_| visited.image.clone()),
+            image: chats.model.image_pixels.map(|_| visited.image.clone()),
         })
     }
 }
