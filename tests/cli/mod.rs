@@ -487,6 +487,26 @@ fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
             .any(|row| row["occupancy"][0] != row["occupancy"][2]),
         "things move"
     );
+    let refused: Vec<&Value> = states
+        .iter()
+        .filter_map(|row| row.get("refused"))
+        .flat_map(|codes| codes.as_array().unwrap())
+        .collect();
+    assert!(!refused.is_empty());
+    for code in refused {
+        let number = |key: &str| code[key].as_f64().unwrap();
+        assert!(
+            number("reflection") < 0.98 && number("score") <= 1.0 && number("value").is_finite()
+        );
+        let parts = code["parts"].as_object().unwrap();
+        assert!(parts.len() == 6 && parts.values().any(|part| part.as_f64().unwrap() < 1.0));
+        assert!(
+            code["reason"]
+                .as_str()
+                .unwrap()
+                .starts_with("Reflection scores")
+        );
+    }
     let tried = |row: &Value| {
         row.get("tried")
             .map(|codes| codes.as_array().unwrap().clone())

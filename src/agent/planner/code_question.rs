@@ -4,9 +4,13 @@ use super::PlannerError;
 use super::agent_state::AgentState;
 use super::attempts::{Question, Trial};
 use super::code_source::Codes;
-use crate::environment::GraphedScene;
+use crate::environment::{CenterlineName, GraphedScene};
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
+
+/// What a plan that leaves the ego's lane must score more than one that passes the obstacle within
+/// it.
+const MIN_GAIN: f64 = 0.02;
 
 /// The planner codes of a planning call, and Reflection on their plans.
 pub(super) struct CodeQuestion<'a> {
@@ -47,14 +51,20 @@ impl Question for CodeQuestion<'_> {
         let is_towards_goal = graph
             .goal
             .is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
-        let stays_behind =
-            !changes_lane && plan.oncoming().is_none() && graph.stop_point().is_some();
         // Staying behind what blocks the lane is as much of a decision as leaving it.
-        let threshold = if stays_behind || (changes_lane && !is_towards_goal) {
+        let stays_behind = !changes_lane
+            && plan.oncoming().is_none()
+            && graph.stop_point().is_some()
+            && !plan.leads_past(self.seen);
+        let leaves_lane = changes_lane && !is_towards_goal;
+        let mut threshold = if stays_behind || leaves_lane {
             lane_kept.max(lane_changed)
         } else {
             lane_kept
         };
+        if leaves_lane && let Some(within) = self.score_within_lane(code)? {
+            threshold = threshold.max(within + MIN_GAIN);
+        }
         let reflection = self
             .judge
             .map(|judge| judge.reflect(&plan, threshold))
@@ -65,6 +75,26 @@ impl Question for CodeQuestion<'_> {
             reflection,
             threshold,
         }))
+    }
+}
+
+impl CodeQuestion<'_> {
+    /// What a code scores in the ego's own lane where something stands in that and the plan leads
+    /// past within the lane. `None` elsewhere, and without a judge.
+    fn score_within_lane(&self, code: PlannerCode) -> Result<Option<f64>, PlannerError> {
+        let Some(judge) = self.judge.filter(|_| self.seen.graph.is_obstructed()) else {
+            return Ok(None);
+        };
+        let code = PlannerCode {
+            centerline: CenterlineName::EgoLane,
+            lead_agent: None,
+            ..code
+        };
+        let plan = self.state.builder.build(self.seen, code)?;
+        let Some(plan) = plan.filter(|plan| plan.leads_past(self.seen)) else {
+            return Ok(None);
+        };
+        Ok(Some(judge.reflect(&plan, self.thresholds.0)?.score))
     }
 }
 

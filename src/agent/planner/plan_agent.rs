@@ -265,6 +265,44 @@ mod tests {
     use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH};
     use planagent_world::Scene;
 
+    /// What a plan for the left lane must score, where a car stands beside the middle of the ego's
+    /// lane.
+    fn needed_to_leave(beside: f64) -> f64 {
+        let scene = Scene::builder()
+            .lanes(2, [[-50.0, 0.0], [250.0, 0.0]])
+            .ego([0.0, -3.5], 0.0, 8.0)
+            .vehicle([30.0, -3.5 + beside], 0.0, 0.0)
+            .build()
+            .unwrap();
+        let code = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
+        let source = CodeSource::Written(code.to_owned());
+        let settings = PlanAgentSettings::default();
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
+        let input = PlannerInput {
+            iteration: 0,
+            scene: scene.view(),
+        };
+        agent.plan(&input, Instant::now()).unwrap();
+        let call = agent.state.calls.pop().unwrap();
+        call.attempts[0].reflection.as_ref().unwrap().threshold
+    }
+
+    #[test]
+    fn what_can_be_passed_within_the_lane_is_no_reason_to_leave_it() {
+        let usual = PlanAgentSettings::default()
+            .reflection
+            .lane_change_threshold;
+        assert!(needed_to_leave(-1.4) > 1.0);
+        assert!(
+            (needed_to_leave(0.0) - usual).abs() < 1e-9,
+            "it blocks the lane"
+        );
+        assert!(
+            (needed_to_leave(-3.0) - usual).abs() < 1e-9,
+            "it is beside the lane"
+        );
+    }
+
     /// Whether an agent leaves a blocked lane, and where it comes back, when no score gets its codes
     /// accepted.
     fn leaves(further_codes: bool, threshold: f64) -> (bool, Option<usize>) {

@@ -4,16 +4,16 @@ use super::path::onto_centerline;
 use super::plan_builder::PlanBuilder;
 use super::ride::{Bends, Ride, Smoothed};
 use super::road::{LeadOnPath, Road};
-use super::shift::shift;
+use super::shift::{STANDING, shift};
 use crate::environment::lane_graph::OncomingLane;
-use crate::environment::{CenterlineName, LaneGraph};
+use crate::environment::{CenterlineName, GraphedScene};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
 use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use planagent_world::dynamics::IdmParameters;
-use planagent_world::geometry::{GeometryError, Point, Polyline, Pose};
+use planagent_world::geometry::{Corridor, GeometryError, Point, Polyline, Pose};
 use planagent_world::{
-    EgoState, LaneId, LanePath, STEP_S, STEP_US, SceneView, TrackToken, Trajectory,
-    TrajectoryError, TrajectoryState,
+    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, TrackToken, TrackedObject,
+    Trajectory, TrajectoryError, TrajectoryState,
 };
 
 /// Exponent δ of the plan's IDM (PDM-Closed's).
@@ -207,18 +207,45 @@ impl IdmPlan {
     }
 
     /// The same where something may block the ego's lane. A plan over the oncoming lane passes it.
-    /// A plan in the ego's lane stops where the ego can still leave the lane. One that leaves it
-    /// rides as IDM does: out of braking, a gentle start comes too late to pass.
+    /// A plan in the ego's lane stops where the ego can still leave the lane, unless its path leads
+    /// past. One that leaves it rides as IDM does: out of braking, a gentle start comes too late to
+    /// pass.
     /// Why: docs/decisions/132-past-at-once.md.
-    pub(super) fn at_blocked_lane(mut self, graph: &LaneGraph, follows: CenterlineName) -> Self {
+    pub(super) fn at_blocked_lane(
+        mut self,
+        seen: GraphedScene<'_>,
+        follows: CenterlineName,
+    ) -> Self {
+        let graph = seen.graph;
         self.leaves_blocked_lane =
             follows != CenterlineName::EgoLane && graph.stop_point().is_some();
         (self.oncoming, self.stop_point) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
-            CenterlineName::EgoLane => (None, graph.stop_point()),
+            CenterlineName::EgoLane => {
+                let stop_point = graph.stop_point().filter(|_| !self.leads_past(seen));
+                (None, stop_point)
+            }
             CenterlineName::LeftLane | CenterlineName::RightLane => (None, None),
         };
         self
+    }
+
+    /// Whether the path leads past all that blocks the ego's lane and past its lead agent, if that
+    /// stands: within the lane, or a little over its border.
+    pub(crate) fn leads_past(&self, GraphedScene { scene, graph }: GraphedScene<'_>) -> bool {
+        let own = &graph.ego_lane().path.centerline;
+        let lead = graph.lead_agent(CenterlineName::EgoLane);
+        let is_in_the_way = |object: &TrackedObject| {
+            let s = own.project(object.shape.center.position()).s;
+            lead.is_some_and(|lead| lead.token == object.token)
+                || graph
+                    .blocked
+                    .is_some_and(|blocked| (blocked.from_s..=blocked.to_s).contains(&s))
+        };
+        let strip = Corridor::new(self.path().clone(), PACIFICA.width / 2.0);
+        !scene.objects.iter().any(|object| {
+            object.speed() < STANDING && is_in_the_way(object) && strip.meets_box(&object.shape)
+        })
     }
 
     /// The same without the stop before what the ego may pass.

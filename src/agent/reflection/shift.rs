@@ -1,5 +1,6 @@
 //! How far a plan keeps from the middle of its lane to pass what stands at the edge.
 
+use crate::environment::lane_graph::{MAX_SHIFT, swing};
 use planagent_world::geometry::{Corridor, Point, Polyline, Pose};
 use planagent_world::{LanePath, PACIFICA, SceneView, TrackedObject};
 
@@ -7,7 +8,7 @@ use planagent_world::{LanePath, PACIFICA, SceneView, TrackedObject};
 /// Why: docs/decisions/111-shift.md.
 const MARGIN: f64 = 0.3;
 /// Objects slower than this stand, m/s.
-const STANDING: f64 = 0.2;
+pub(super) const STANDING: f64 = 0.2;
 /// Time ahead in which objects matter, seconds: Reflection's horizon.
 /// Why: docs/decisions/111-shift.md.
 const REACH_S: f64 = 4.0;
@@ -19,9 +20,6 @@ const AROUND: f64 = 3.0;
 const STATION_STEP: f64 = 1.0;
 /// Distance between tested shifts, meters.
 const SHIFT_STEP: f64 = 0.05;
-/// Maximum shift, meters: the lateral offset of PDM-Closed's proposals.
-/// Why: docs/decisions/111-shift.md.
-const MAX_SHIFT: f64 = 1.0;
 /// Steps of time in which agents beside the lane are followed, seconds.
 const TIME_STEP: f64 = 0.5;
 
@@ -31,7 +29,8 @@ const TIME_STEP: f64 = 0.5;
 struct Edge {
     from_s: f64,
     to_s: f64,
-    /// The lateral position of its side that faces the line.
+    /// The lateral position of its side that faces the line, nearer by what a corner of the ego
+    /// swings out in a bend.
     lateral: f64,
     /// Whether it stands to the left.
     left: bool,
@@ -120,7 +119,12 @@ fn edges(scene: &SceneView<'_>, lanes: &LanePath) -> Vec<Edge> {
         let least = |values: [f64; 4]| values.into_iter().fold(f64::INFINITY, f64::min);
         let most = |values: [f64; 4]| values.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let (from_s, to_s) = (least(along), most(along));
-        let lateral = if left { least(across) } else { most(across) };
+        let swing = swing(&lanes.centerline, (from_s, to_s), left);
+        let lateral = if left {
+            least(across) - swing
+        } else {
+            most(across) + swing
+        };
         (to_s > here && from_s < reach).then_some(Edge {
             from_s,
             to_s,

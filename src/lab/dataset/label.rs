@@ -2,6 +2,7 @@
 
 use super::label_weights::DecisionWeights;
 use super::lessons::Lesson;
+use super::reward::refusal;
 use planagent_agent::environment::facts::{Ahead, Light, Question};
 use planagent_agent::environment::text::{self, Description, TextForm};
 use planagent_agent::environment::{CenterlineName, LaneGraph, SceneFacts};
@@ -9,6 +10,7 @@ use planagent_agent::reasoning::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round,
     round_prompt, system_prompt,
 };
+use planagent_agent::reflection::SubScores;
 use planagent_controls::search::{Candidate, NEAR_LIMIT};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -51,6 +53,9 @@ pub(crate) struct LabeledState {
     /// Codes for expert iteration, the label among them; none where there is only one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tried: Vec<TriedCode>,
+    /// Codes that Reflection refuses, in the order of the search.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub refused: Vec<RefusedCode>,
     /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see
     /// [`OccupancyGrid`](planagent_agent::environment::OccupancyGrid)).
     pub occupancy: [String; 3],
@@ -68,6 +73,38 @@ pub(crate) struct TriedCode {
     value: f64,
     /// Answers of the rounds Instruction and Code, in place of the label's.
     answers: [Message; 2],
+}
+
+/// A code that Reflection refuses, with what it is worth all the same.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct RefusedCode {
+    code: String,
+    /// nuPlan's score over the search's horizon, with the terms that break ties.
+    value: f64,
+    /// nuPlan's score over the search's horizon, 0 to 1.
+    score: f64,
+    /// Reflection's score, 0 to 1, and its parts.
+    reflection: f64,
+    parts: SubScores,
+    /// Why it is refused.
+    reason: String,
+}
+
+impl RefusedCode {
+    /// Those among the codes that the search tried.
+    pub(super) fn among(tried: &[Candidate]) -> Vec<Self> {
+        let refused = tried.iter().filter(|candidate| !candidate.is_accepted());
+        refused
+            .map(|candidate| Self {
+                code: candidate.code.to_string(),
+                value: candidate.value,
+                score: candidate.score,
+                reflection: candidate.reflection.score,
+                parts: candidate.reflection.parts,
+                reason: refusal(&candidate.reflection),
+            })
+            .collect()
+    }
 }
 
 /// An answer in pieces, some of which are learned.
@@ -190,6 +227,7 @@ pub(super) fn label(
         facts: answers,
         score: best.score,
         tried,
+        refused: Vec::new(),
         occupancy,
         twin: None,
     })

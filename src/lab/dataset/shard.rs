@@ -5,8 +5,10 @@
 //! by row and four digits a row. Row 0 is the top of the picture, and the highest bit of a row is
 //! its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or static object
 //! touches the cell. Where the search accepts several codes, `tried` has each with its chance, its
-//! value and the answers of the last two rounds that lead to it. Two consecutive states with the
-//! same `twin` have the same prompts, other pictures and other best codes.
+//! value and the answers of the last two rounds that lead to it. `refused` has the codes that
+//! Reflection refuses, each with its value, nuPlan's score, Reflection's score with its parts, and
+//! the reason. Two consecutive states with the same `twin` have the same prompts, other pictures
+//! and other best codes.
 
 use super::label::LabeledState;
 use image::{ImageError, ImageFormat, RgbImage};

@@ -1,6 +1,6 @@
 //! The labeled states of one scenario.
 
-use super::label::{self, LabeledState};
+use super::label::{self, LabeledState, RefusedCode};
 use super::label_weights::DecisionWeights;
 use super::lessons::lessons;
 use super::{Settings, scenes};
@@ -103,10 +103,12 @@ pub(super) fn label_scenario(
             settings.prompts,
             feedback.as_deref(),
         )?;
+        let refused = RefusedCode::among(tried);
         let tried = label::tried_codes(graph, facts, &lessons, settings.prompts);
         let label = LabeledState {
             occupancy: visited.occupancy.clone(),
             tried,
+            refused,
             ..label
         };
         Ok((label, visited.image.clone()))

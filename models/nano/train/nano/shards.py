@@ -4,7 +4,8 @@
 below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`. An answer of the
 conversation has in `learn` the spans of characters that the model chooses, and in `weights`, if any, theirs in the loss. `twin` names a pair of states with the same text,
 other pictures and other codes. `tried` are codes of a state for expert iteration: `chance`, `value`, and `answers` in place of the last two of
-the conversation. `occupancy` are three grids of where objects are, now and in one and two seconds (`occupancy.py`).
+the conversation. `refused` are codes that Reflection refuses, with value, scores and reason; training does not read them.
+`occupancy` are three grids of where objects are, now and in one and two seconds (`occupancy.py`).
 """
 
 from __future__ import annotations

@@ -46,6 +46,7 @@ pub(crate) use oncoming::ONCOMING_SIGHT;
 pub use oncoming::{OncomingAgent, OncomingLane};
 pub use return_lane::ReturnLane;
 pub use standing::BlockedStretch;
+pub(crate) use standing::{MAX_SHIFT, swing};
 
 use planagent_world::SceneView;
 use planagent_world::geometry::Point;

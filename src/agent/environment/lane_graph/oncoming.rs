@@ -1,6 +1,6 @@
 //! The way past what blocks the ego's lane: over the lane against traffic beside it, and back.
 
-use super::standing::edges;
+use super::standing::{CLEARANCE_BEHIND, edges};
 use super::{BlockedStretch, Centerline, CenterlineName};
 use planagent_world::geometry::{Polyline, Vector, wrap_angle};
 use planagent_world::{LaneId, LanePath, ObjectKind, PACIFICA, SceneView};
@@ -12,10 +12,9 @@ const MOVE_OVER_S: f64 = 2.4;
 const MOVE_BACK_S: f64 = 2.0;
 const MIN_MOVE_OVER: f64 = 12.0;
 const MAX_MOVE_OVER: f64 = 30.0;
-/// Distance to what is passed, beside and behind it, meters.
+/// Distance to what is passed, beside it, meters.
 /// Why: docs/decisions/114-oncoming-lane.md.
 const CLEARANCE: f64 = 0.5;
-const CLEARANCE_BEHIND: f64 = 1.0;
 /// Distance from the border of the lanes at which the oncoming lane is looked for, and between two
 /// such places, meters.
 const BESIDE_BORDER: f64 = 1.0;

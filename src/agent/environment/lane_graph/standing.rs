@@ -2,7 +2,7 @@
 //! does not stand permanently.
 
 use super::Centerline;
-use planagent_world::geometry::{Corridor, Point, wrap_angle};
+use planagent_world::geometry::{Corridor, Point, Polyline, wrap_angle};
 use planagent_world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
 /// Why: docs/decisions/113-standing-progress.md.
 const REACH: f64 = 60.0;
-/// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
+/// Distance behind the ego's center in which what the ego passes is looked for, meters.
 const BEHIND: f64 = 40.0;
 /// Maximum distance from the middle of its lane at which the ego is back in it, meters.
 const BACK_IN_LANE: f64 = 1.0;
@@ -36,6 +36,15 @@ const ALIGNED: (f64, f64) = (0.17, 0.6);
 const TOO_SHORT: f64 = 30.0;
 /// Space that the ego needs beside an obstacle, beyond its width, meters.
 const MARGIN: f64 = 0.1;
+/// How far from the middle of its lane a plan passes what stands at the edge, at most, meters: the
+/// lateral offset of PDM-Closed's proposals.
+/// Why: docs/decisions/111-shift.md.
+pub(crate) const MAX_SHIFT: f64 = 1.0;
+/// A line that bends less counts as straight, 1/m: there the ego's corner swings out by 1 cm.
+const STRAIGHT: f64 = 1e-3;
+/// Space between the ego's rear bumper and what it has passed, from which on it is past that,
+/// meters.
+pub(super) const CLEARANCE_BEHIND: f64 = 1.0;
 /// Steps in which the edge of a lane is looked for, and how far from its middle at most, meters.
 const EDGE_STEP: f64 = 0.1;
 const MAX_HALF_WIDTH: f64 = 4.0;
@@ -98,14 +107,11 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
             one.waits = waits;
         }
     }
-    // What lies behind the rear bumper of an ego that is back in its lane is passed.
+    // What lies behind the rear bumper is passed. An ego that is not back in its lane needs some
+    // space to come back.
     let is_back = line.project(scene.ego.center().position()).lateral.abs() <= BACK_IN_LANE;
-    let rear = lane.ego_s
-        - if is_back {
-            PACIFICA.length() / 2.0
-        } else {
-            BEHIND
-        };
+    let clearance = if is_back { 0.0 } else { CLEARANCE_BEHIND };
+    let rear = lane.ego_s - PACIFICA.length() / 2.0 - clearance;
     let follows = |one: &InStrip<'_>| {
         one.to_s <= lane.ego_s - PACIFICA.length() / 2.0 && (one.waits || one.moves())
     };
@@ -222,12 +228,36 @@ fn is_aligned(path: &LanePath, one: &InStrip<'_>) -> bool {
     one.object.kind == ObjectKind::Vehicle && turn <= ALIGNED.0 && foot.lateral.abs() <= ALIGNED.1
 }
 
-/// Whether the ego fits between an object and an edge of the lane.
+/// Whether the ego fits between an object and an edge of the lane, and a plan keeps far enough from
+/// the middle of the lane to pass there.
 fn leaves_room(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>) -> bool {
     let s = f64::midpoint(one.from_s, one.to_s);
     let (right, left) = edges(scene, path, s);
     let needed = PACIFICA.width + MARGIN;
-    left - one.across.1 >= needed || one.across.0 - right >= needed
+    let passes = |room: f64, inner: f64, object_is_left: bool| {
+        let swing = swing(&path.centerline, (one.from_s, one.to_s), object_is_left);
+        room >= needed + swing && inner + swing + PACIFICA.width / 2.0 <= MAX_SHIFT
+    };
+    passes(left - one.across.1, one.across.1, false)
+        || passes(one.across.0 - right, -one.across.0, true)
+}
+
+/// How far the front corner on one side swings out beyond the ego's side while its rear axle follows
+/// a line past a stretch of it, meters: only on the outer side of a bend.
+pub(crate) fn swing(line: &Polyline, (from_s, to_s): (f64, f64), to_the_left: bool) -> f64 {
+    let half = PACIFICA.width / 2.0;
+    let beyond = |s: f64| {
+        let curvature = line.curvature_at(s.clamp(0.0, line.length()));
+        if (curvature < 0.0) != to_the_left || curvature.abs() < STRAIGHT {
+            return 0.0;
+        }
+        let side = 1.0 / curvature.abs() + half;
+        side.hypot(PACIFICA.front_length) - side
+    };
+    let first = from_s - PACIFICA.front_length;
+    (0..=(to_s - first).max(0.0).ceil() as usize)
+        .map(|meter| beyond((first + meter as f64).min(to_s)))
+        .fold(0.0, f64::max)
 }
 
 /// The edges of the lane at an arc length of its centerline, to the right and to the left, positive

@@ -1,8 +1,9 @@
+use super::standing::swing;
 use super::*;
 use crate::environment::sketch::{self, Drawn};
 use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
-use planagent_world::geometry::Vector;
-use planagent_world::{EgoState, LaneId, ObjectKind, PACIFICA, SignalStatus};
+use planagent_world::geometry::{Point, Polyline, Vector};
+use planagent_world::{EgoState, LaneId, ObjectKind, PACIFICA, Scene, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -532,6 +533,70 @@ fn a_taper_belongs_to_the_stretch_that_it_blocks() {
         (alone - blocked(&[far, closing]).unwrap()).abs() < 1e-9,
         "the ego can stop behind it"
     );
+}
+
+#[test]
+fn what_the_ego_has_passed_blocks_its_lane_no_more() {
+    // A car that broke down 25 m ahead. The ego's rear bumper is past it by a gap, and the ego that
+    // far aside.
+    let road = || sketch::straight(1, 1, 0, 8.0).put(Vehicle, 25.0, 0.0, 0.3, 0.0);
+    let before = graph(&road());
+    let to_s = before.blocked.unwrap().to_s;
+    let is_blocked = |gap: f64, aside: f64| {
+        let mut drawn = road();
+        let ahead = to_s + gap + PACIFICA.length() / 2.0 - before.ego_lane().ego_s;
+        let (rear_axle, velocity) = (
+            drawn.ego.rear_axle.translated(ahead, aside),
+            drawn.ego.velocity,
+        );
+        drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
+        let graph = with_oncoming(&drawn);
+        assert_eq!(graph.stop_point().is_some(), graph.blocked.is_some());
+        graph.blocked.is_some()
+    };
+    assert!(is_blocked(-0.5, 2.0), "beside it");
+    assert!(is_blocked(0.5, 2.0), "too near to come back");
+    assert!(!is_blocked(1.5, 2.0), "there is room to come back");
+    assert!(!is_blocked(15.0, 2.0), "far behind");
+    assert!(!is_blocked(0.5, 0.0), "back in its lane");
+}
+
+#[test]
+fn what_leaves_more_room_than_a_plan_can_use_blocks_the_lane() {
+    // A lane of 6 m: 3 m to each side of its middle.
+    let is_blocked = |y: f64| {
+        let scene = Scene::builder()
+            .lane_width(6.0)
+            .lane([[-50.0, 0.0], [150.0, 0.0]])
+            .ego([0.0, 0.0], 0.0, 8.0)
+            .vehicle([30.0, y], 0.0, 0.0)
+            .build()
+            .unwrap();
+        let graph = LaneGraph::build(&scene.view(), DEFAULT_NODE_LENGTH).unwrap();
+        graph.blocked.is_some()
+    };
+    assert!(is_blocked(-0.5) && is_blocked(0.5));
+    assert!(!is_blocked(-1.8) && !is_blocked(1.8));
+}
+
+#[test]
+fn the_front_corner_swings_out_on_the_outer_side_of_a_bend() {
+    let arc = |side: f64| {
+        let points = (0..=60).map(|i| {
+            let angle = f64::from(i) * 0.02;
+            Point::new(12.0 * angle.sin(), side * 12.0 * (1.0 - angle.cos()))
+        });
+        Polyline::new(points).unwrap()
+    };
+    let side = 12.0 + PACIFICA.width / 2.0;
+    let expected = side.hypot(PACIFICA.front_length) - side;
+    for (left_bend, line) in [(true, arc(1.0)), (false, arc(-1.0))] {
+        let found = swing(&line, (6.0, 8.0), !left_bend);
+        assert!((found - expected).abs() < 0.02, "{found} {expected}");
+        assert!(swing(&line, (6.0, 8.0), left_bend) <= 0.0);
+    }
+    let straight = Polyline::new([[0.0, 0.0], [50.0, 0.0]].map(|[x, y]| Point::new(x, y))).unwrap();
+    assert!(swing(&straight, (20.0, 25.0), true) <= 0.0);
 }
 
 #[test]
