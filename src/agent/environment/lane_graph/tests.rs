@@ -554,10 +554,10 @@ fn what_the_ego_has_passed_blocks_its_lane_no_more() {
         assert_eq!(graph.stop_point().is_some(), graph.blocked.is_some());
         graph.blocked.is_some()
     };
-    assert!(is_blocked(-0.5, 2.0), "beside it");
-    assert!(is_blocked(0.5, 2.0), "too near to come back");
-    assert!(!is_blocked(1.5, 2.0), "there is room to come back");
-    assert!(!is_blocked(15.0, 2.0), "far behind");
+    assert!(is_blocked(-0.5, 2.8), "beside it");
+    assert!(is_blocked(0.5, 2.8), "too near to come back");
+    assert!(!is_blocked(1.5, 2.8), "there is room to come back");
+    assert!(!is_blocked(15.0, 2.8), "far behind");
     assert!(!is_blocked(0.5, 0.0), "back in its lane");
 }
 
