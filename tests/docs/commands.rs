@@ -392,6 +392,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
+        "planagent simulate --scenario SCENARIOS --challenge reactive --planner plan-agent,pdm-closed,grid-code-four --set environment.oncoming_lane=true",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
         "planagent study interactive --suite interactive-generated",
         HOURS,
     ),
