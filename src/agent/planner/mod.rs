@@ -53,6 +53,8 @@ pub use language_settings::{
 };
 pub use latency::Latency;
 pub use layer::AgentLayer;
+#[doc(hidden)]
+pub use llm_assist::{AssistDrive, HandedAnswers};
 pub use llm_assist::{AskedModel, LlmAssist};
 pub use log_replay::LogReplay;
 pub use monitored::Monitored;
