@@ -159,3 +159,58 @@ impl Search<'_> {
         Some(Tried { answer, value })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::simulation;
+
+    fn search<'a>(simulation: &'a ClosedLoop<'static>, drive: &'a AssistDrive) -> Search<'a> {
+        Search {
+            simulation,
+            drive,
+            steps: 20,
+        }
+    }
+
+    #[test]
+    fn pdm_closeds_own_parameters_drive_as_it_does() {
+        let (simulation, mut drive) = (simulation(), AssistDrive::default());
+        let own = search(&simulation, &drive.clone())
+            .tried(Assistance::Parameters(own_parameters()))
+            .unwrap();
+        let rules = value_of_drive(&simulation, |scene, _| {
+            Some(drive.rules(scene).ok()?.trajectory)
+        });
+        assert_eq!(Some(own.value), rules);
+    }
+
+    #[test]
+    fn a_search_begins_with_pdm_closed_and_tries_no_answer_twice() {
+        let (simulation, drive) = (simulation(), AssistDrive::default());
+        let tried = search(&simulation, &drive).parameters();
+        assert_eq!(tried[0].answer, Assistance::Parameters(own_parameters()));
+        let highest = tried.iter().map(|tried| tried.value).fold(0.0, f64::max);
+        assert!(highest >= tried[0].value);
+        for (i, one) in tried.iter().enumerate() {
+            assert!(tried[..i].iter().all(|other| other.answer != one.answer));
+        }
+    }
+
+    #[test]
+    fn waypoints_of_pdm_closeds_plan_drive_about_as_it_does() {
+        let (simulation, drive) = (simulation(), AssistDrive::default());
+        let tried = search(&simulation, &drive).waypoints();
+        assert_eq!(tried.len(), 26);
+        let own = search(&simulation, &drive).tried(Assistance::Parameters(own_parameters()));
+        let own = own.unwrap().value;
+        assert!(
+            (tried[0].value - own).abs() < 0.1,
+            "{} {own}",
+            tried[0].value
+        );
+        let values = || tried.iter().map(|tried| tried.value);
+        let lowest = values().fold(f64::INFINITY, f64::min);
+        assert!(lowest < own - 0.05, "a hard brake or another lane costs");
+    }
+}
