@@ -123,7 +123,10 @@ impl Search<'_> {
             return Vec::new();
         };
         let mut best = own_parameters();
-        let mut tried: Vec<Tried> = self.tried(Assistance::Parameters(best)).into_iter().collect();
+        let mut tried: Vec<Tried> = self
+            .tried(Assistance::Parameters(best))
+            .into_iter()
+            .collect();
         let mut most = tried.first().map_or(f64::NEG_INFINITY, |own| own.value);
         for vary in VARIATIONS {
             let from = best;

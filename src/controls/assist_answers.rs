@@ -43,10 +43,7 @@ pub(crate) fn waypoints(
             let lateral = on.lateral + (offset - on.lateral) * ASIDE[waypoint];
             // Behind the end of the path the way goes straight on.
             let beyond = (s - line.length()).max(0.0);
-            seen(
-                from,
-                line.pose_at(s - beyond).translated(beyond, lateral),
-            )
+            seen(from, line.pose_at(s - beyond).translated(beyond, lateral))
         }))
     };
     let grid = WAYPOINT_ACCELERATIONS

@@ -7,9 +7,9 @@ use crate::words::path_word;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use planagent_lab::bench::protocol::Precision;
-use planagent_lab::dataset::Teacher;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
+use planagent_lab::dataset::taught_agents;
 use planagent_lab::study_runs::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
@@ -122,7 +122,7 @@ fn imitation_planner() -> clap::builder::PossibleValuesParser {
 }
 
 fn taught_agent() -> clap::builder::PossibleValuesParser {
-    Teacher::NAMES.into()
+    taught_agents().collect::<Vec<_>>().into()
 }
 
 /// Arguments of `study`.

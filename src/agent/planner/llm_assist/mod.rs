@@ -132,10 +132,7 @@ impl LlmAssist {
     /// Time for which an answer is executed, seconds.
     #[doc(hidden)]
     pub fn answer_s(&self) -> f64 {
-        self.settings
-            .agent
-            .interval_s
-            .min(WAYPOINT_SECONDS as f64)
+        self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64)
     }
 
     /// Whether the next step, in this scene, begins with a planning call.
@@ -208,17 +205,15 @@ impl LanguageAgent for LlmAssist {
     ) -> Result<Attempts<Assisted>, PlannerError> {
         let tau = self.tau();
         let answers = match &self.source {
-            AnswerSource::Model(variant, asked) => {
-                Answers::Asked(Box::new(AssistReasoning::open(
-                    *variant,
-                    asked.model.as_ref(),
-                    asked.prompts.as_ref(),
-                    &asked.reasoning,
-                    question,
-                    seed,
-                    deadline,
-                )?))
-            }
+            AnswerSource::Model(variant, asked) => Answers::Asked(Box::new(AssistReasoning::open(
+                *variant,
+                asked.model.as_ref(),
+                asked.prompts.as_ref(),
+                &asked.reasoning,
+                question,
+                seed,
+                deadline,
+            )?)),
             AnswerSource::Handed(handed) => Answers::Handed(handed),
         };
         let PdmMemory {
