@@ -80,13 +80,6 @@ impl<'a> Studies<'a> {
         })
     }
 
-    /// The same with at most so many scenes of a suite, evenly from their types.
-    #[must_use]
-    pub(crate) fn limited(mut self, limit: usize) -> Self {
-        self.suites.limit = Some(limit);
-        self
-    }
-
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
@@ -261,6 +254,7 @@ impl<'a> Studies<'a> {
     fn command(&self, name: &str) -> Result<String, RunnerError> {
         let mut words = vec!["planagent study".to_owned(), name.to_owned()];
         words.extend(self.request.quick.then(|| "--quick".to_owned()));
+        words.extend(self.request.limit.map(|limit| format!("--limit {limit}")));
         if !self.request.suites.is_empty() {
             words.push(format!("--suite {}", self.request.suites.join(",")));
         }
