@@ -242,11 +242,13 @@ impl<'a> Studies<'a> {
 
     /// The folder of a study's results.
     fn folder(&self, name: &str) -> PathBuf {
-        self.request.out.join(if self.request.quick {
-            format!("{name}-quick")
-        } else {
-            name.to_owned()
-        })
+        self.request
+            .out
+            .join(match (self.request.quick, self.request.limit) {
+                (true, _) => format!("{name}-quick"),
+                (false, Some(limit)) => format!("{name}-limit-{limit}"),
+                (false, None) => name.to_owned(),
+            })
     }
 
     /// The command that makes the results of a study. Settings of files and of options are those of
