@@ -78,5 +78,8 @@ fn a_program_writes_a_table_of_the_paper() {
     assert!(outcome.failed.is_empty() && outcome.missing.is_empty());
     let results = work.path().join("scenario-types-limit-1/results.md");
     let text = std::fs::read_to_string(results).unwrap();
-    assert!(text.contains("--limit 1 ") && text.contains("1 scene"), "{text}");
+    assert!(
+        text.contains("--limit 1 ") && text.contains("1 scene"),
+        "{text}"
+    );
 }
