@@ -171,12 +171,11 @@ pub(super) fn agent_memory(bytes: &[u8]) -> bool {
     let mut settings = PlanAgentSettings::default();
     let agents = &mut settings.language_agents;
     let agent = if choice % 2 == 0 {
-        agents.dilu.memory = file;
         AGENTS[1]
     } else {
-        agents.agent_driver.memory = file;
         AGENTS[2]
     };
+    agents.of_mut(agent).memory = file;
     let entry = entries().find(|entry| entry.name.as_str() == agent);
     let opened = entry.is_some_and(|entry| entry.prepare(&settings).is_ok());
     if opened {

@@ -5,23 +5,23 @@ use super::launched;
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
 use anyhow::{Context, bail};
-use planagent_agent::planner::LearnedSettings;
+use planagent_agent::planner::{LanguageAgentSettings, LearnedSettings};
 use planagent_agent::reasoning::built_in_prompts;
 use planagent_files::word_of;
 use planagent_mllm::trial::Trial;
 use planagent_mllm::{AdapterSpec, Trust, offline_variable};
 use planagent_planners::all_planners;
 use planagent_runs::report::RenamedSetting;
-use planagent_runs::runner::Config;
+use planagent_runs::runner::{Config, agent_tables, language_agents};
 use planagent_scenario::absolute_path;
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Keys without a default value, beside the checkpoints of learned planners; the others are those of
-/// [`Config::default`].
-const OPTIONAL: [&str; 11] = [
+/// Keys without a default value, beside the memories of language agents and the checkpoints of learned
+/// planners; the others are those of [`Config::default`].
+const OPTIONAL: [&str; 9] = [
     "mllm.adapter",
     "mllm.quantize",
     "mllm.context",
@@ -31,11 +31,7 @@ const OPTIONAL: [&str; 11] = [
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",
-    "language_agents.dilu.memory",
-    "language_agents.agent_driver.memory",
 ];
-/// The section that a file has only where it differs from its defaults.
-const LANGUAGE_AGENTS: &str = "language_agents";
 
 /// The settings of a command.
 pub(super) struct Settings {
@@ -189,8 +185,8 @@ impl Settings {
     /// Every setting in the order of the file, optional ones at the end of their section.
     pub(super) fn list(&self) -> anyhow::Result<Vec<Setting>> {
         let mut table = Table::try_from(&self.config)?;
-        let agents = Table::try_from(&self.config.language_agents)?;
-        table.insert(LANGUAGE_AGENTS.to_owned(), agents.into());
+        // A configuration has this section only where it differs from its defaults.
+        table.extend(agent_tables(&self.config.language_agents)?.parse::<Table>()?);
         Ok(keys()?
             .into_iter()
             .map(|key| {
@@ -326,8 +322,7 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
     let (mut keys, mut section) = (Vec::new(), String::new());
     // A table forgets the order of its keys; the text of the defaults has it.
     let defaults = Config::default();
-    let agents = toml::to_string(&defaults.language_agents)?;
-    let agents = agents.replace('[', &format!("[{LANGUAGE_AGENTS}."));
+    let agents = agent_tables(&defaults.language_agents)?;
     for line in toml::to_string(&defaults)?.lines().chain(agents.lines()) {
         if let Some(name) = line
             .strip_prefix('[')
@@ -342,7 +337,10 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
     let checkpoints = checkpoints
         .learned()
         .map(|planner| checkpoint_key(planner.as_str()));
-    for optional in OPTIONAL.into_iter().map(str::to_owned).chain(checkpoints) {
+    let remembering = language_agents().into_iter().filter(|keys| keys.has_memory);
+    let memories = remembering.map(|keys| LanguageAgentSettings::memory_key(keys.planner));
+    let optional = OPTIONAL.into_iter().map(str::to_owned);
+    for optional in optional.chain(memories).chain(checkpoints) {
         let section = optional.rsplit_once('.').map_or("", |(section, _)| section);
         let is_of_section =
             |key: &String| key.rsplit_once('.').map_or("", |(own, _)| own) == section;

@@ -4,6 +4,8 @@
 //! [`search`] simulates many codes from a state; `oracle-code` and the labels of datasets are its
 //! best ones.
 
+mod assist;
+mod assist_answers;
 pub mod foresight;
 mod grid;
 mod oracle;
@@ -11,6 +13,7 @@ mod random;
 pub mod search;
 #[cfg(test)]
 mod tests;
+pub mod trial;
 
 use grid::{FixedCode, FourPlainCodes, Grid};
 use planagent_agent::planner::{CodeList, CodeSource, PlannerName};
@@ -54,6 +57,7 @@ pub fn entries() -> impl Iterator<Item = PlannerEntry> {
     ]
     .into_iter()
     .chain(oracle::entries())
+    .chain(assist::entries())
 }
 
 fn control(

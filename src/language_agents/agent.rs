@@ -4,7 +4,7 @@
 use crate::chat::Chat;
 use crate::memory::MemoryError;
 use planagent_agent::environment::{GraphedScene, LaneGraph};
-use planagent_agent::planner::{LanguageAgentSettings, PlannerError, PlannerInput, Unreadable};
+use planagent_agent::planner::{AgentKeys, AgentSettings, PlannerError, PlannerInput, Unreadable};
 use planagent_agent::reasoning::{
     ParseError, PlannerAnswer, PromptError, QuestionPrompts, ReasoningError,
 };
@@ -75,16 +75,14 @@ pub(crate) trait ChatAgent: Send {
     fn trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, PlannerError>;
 }
 
-/// An agent by its prompts and settings.
-type Make<A> = fn(&LanguageAgentSettings, Arc<QuestionPrompts>) -> Result<A, MemoryError>;
+/// An agent by its prompts and what is set of its settings.
+type Make<A> = fn(AgentSettings, Arc<QuestionPrompts>) -> Result<A, MemoryError>;
 
 /// What an agent is made of.
 pub(crate) struct Parts<A: ChatAgent> {
-    /// Its name as a planner.
-    pub(crate) name: &'static str,
+    /// Its name as a planner, and its settings.
+    pub(crate) keys: AgentKeys,
     pub(crate) prompts: fn() -> Result<QuestionPrompts, PromptError>,
-    /// The file of its memory.
-    pub(crate) memory: fn(&LanguageAgentSettings) -> Option<&str>,
     pub(crate) make: Make<A>,
 }
 

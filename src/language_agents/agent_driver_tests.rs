@@ -1,6 +1,7 @@
 //! Agent-Driver with a scripted model and with an oracle.
 
-use crate::memory::{ExperienceItem, Memory};
+use crate::agent_driver::ExperienceItem;
+use crate::memory::Memory;
 use crate::tests::{Stub, asked_seldom, default_scene, drive};
 use planagent_agent::planner::{Decision, LanguageAgentSettings, PlanAgentSettings};
 use planagent_agent::reasoning::PlannerAnswer;
@@ -101,7 +102,7 @@ fn the_experience_that_the_model_picks_stands_in_the_plan() {
     );
     std::fs::write(&file, serde_json::to_string(&memory).unwrap()).unwrap();
     let mut language_agents = LanguageAgentSettings::default();
-    language_agents.agent_driver.memory = Some(file.to_str().unwrap().to_owned());
+    language_agents.of_mut("agent-driver").memory = Some(file.to_str().unwrap().to_owned());
     let settings = PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()

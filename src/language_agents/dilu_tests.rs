@@ -1,8 +1,8 @@
 //! `DiLu` with a scripted model and with an oracle.
 
-use crate::memory::{DiluItem, Memory};
+use crate::dilu::{DiluItem, Drive, lesson_items};
+use crate::memory::Memory;
 use crate::tests::{Stub, asked_seldom, default_scene, drive};
-use crate::{Drive, lesson_items};
 use planagent_agent::planner::{
     AskedModel, Decision, LanguageAgentSettings, NoPlan, PlanAgentSettings, Unreadable,
 };
@@ -146,7 +146,7 @@ fn memory_of(items: Vec<DiluItem>) -> (tempfile::TempDir, PlanAgentSettings) {
     let memory = Memory::new("dilu", "a test".to_owned(), items);
     std::fs::write(&file, serde_json::to_string(&memory).unwrap()).unwrap();
     let mut language_agents = LanguageAgentSettings::default();
-    language_agents.dilu.memory = Some(file.to_str().unwrap().to_owned());
+    language_agents.of_mut("dilu").memory = Some(file.to_str().unwrap().to_owned());
     let settings = PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()

@@ -8,19 +8,22 @@
 mod agent;
 mod agent_driver;
 mod chat;
+mod described;
 mod dilu;
 mod entry;
+mod fill;
 mod gpt_driver;
+mod made;
 mod memory;
 mod oracle;
 mod planner;
 mod teaching;
 mod waypoints;
 
-pub use agent_driver::{agent_driver_text, experience};
-pub use dilu::{Drive, dilu_text, lesson_items};
-pub use entry::entries;
-pub use memory::{DiluItem, ExperienceItem, Memory};
+pub use described::DescribedText;
+pub use entry::{described_texts, entries, fillers, taught_agents, teacher};
+pub use fill::{LeftDrive, LeftItems, MemoryFiller, MemorySource};
+pub use memory::Memory;
 pub use teaching::{SearchedState, TaughtAnswer, Teacher};
 
 #[cfg(test)]

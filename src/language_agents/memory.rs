@@ -1,6 +1,5 @@
 //! Memories of agents: files that a command fills and that no simulation changes.
 
-use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -28,18 +27,6 @@ pub struct Memory<T> {
     pub items: Vec<T>,
 }
 
-/// Largest number of a remembered motion: meters, or meters per half second.
-const MAX_NUMBER: f64 = 1_000.0;
-
-/// Stands before the number of an action.
-pub(crate) const DELIMITER: &str = "####";
-
-/// Whether an answer ends with an action, as remembered answers must: they show the form.
-pub(crate) fn ends_with(answer: &str, action: DrivingAction) -> bool {
-    let number = answer.rsplit_once(DELIMITER);
-    number.is_some_and(|(_, number)| number.trim().parse() == Ok(action.id()))
-}
-
 /// What is remembered.
 pub(crate) trait Remembered: DeserializeOwned {
     /// Its texts by the names of their fields. The model reads the first ones, and they must not be
@@ -51,83 +38,6 @@ pub(crate) trait Remembered: DeserializeOwned {
 
     /// What is wrong with an item beside the length of its texts.
     fn fault(&self) -> Option<String>;
-}
-
-impl Remembered for DiluItem {
-    fn texts(&self) -> [(&'static str, &str); 3] {
-        [
-            ("description", &self.description),
-            ("answer", &self.answer),
-            ("comment", &self.comment),
-        ]
-    }
-
-    const READ: usize = 2;
-
-    fn fault(&self) -> Option<String> {
-        (!ends_with(&self.answer, self.action))
-            .then(|| format!("answer does not end with the action {}", self.action))
-    }
-}
-
-impl Remembered for ExperienceItem {
-    fn texts(&self) -> [(&'static str, &str); 3] {
-        [
-            ("text", &self.text),
-            ("goal", &self.goal),
-            ("source", &self.source),
-        ]
-    }
-
-    const READ: usize = 2;
-
-    fn fault(&self) -> Option<String> {
-        let places = self.past.iter().chain(&self.future).flatten();
-        let far = self.motion.iter().chain(places);
-        far.copied()
-            .find(|number| number.abs() > MAX_NUMBER)
-            .map(|number| format!("{number:e} is larger than {MAX_NUMBER}"))
-    }
-}
-
-/// A remembered decision of DiLu.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DiluItem {
-    /// The scene in words.
-    pub description: String,
-    /// Reasoning and action, as the model is to write them.
-    pub answer: String,
-    /// The action.
-    pub action: DrivingAction,
-    /// Where it comes from, and whether it corrects a mistake.
-    pub comment: String,
-}
-
-/// A remembered motion of Agent-Driver, with what followed; x is to the right, y ahead.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ExperienceItem {
-    /// Motion, past and goal in words.
-    pub text: String,
-    /// The numbers of the motion, in the order of the words.
-    pub motion: [f64; 9],
-    /// The goal.
-    pub goal: String,
-    /// The places in the last two seconds, the oldest first, meters.
-    pub past: [[f64; 2]; 4],
-    /// The places in the next three seconds, meters.
-    pub future: [[f64; 2]; 6],
-    /// The scenario.
-    pub source: String,
-}
-
-impl ExperienceItem {
-    /// What followed, as a list of waypoints.
-    pub(crate) fn list(&self) -> WaypointList {
-        let places = self.future.map(|[right, ahead]| SeenPlace { right, ahead });
-        WaypointList(places)
-    }
 }
 
 /// What tells whose memory a file is. It is read first, because the items of another agent have
@@ -282,6 +192,9 @@ fn check<T: Remembered>(memory: &Memory<T>, path: PathBuf) -> Result<(), MemoryE
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::agent_driver::ExperienceItem;
+    use crate::dilu::DiluItem;
+    use planagent_agent::reasoning::DrivingAction;
 
     #[test]
     fn a_memory_is_read_as_it_was_written_and_another_agents_is_refused() {

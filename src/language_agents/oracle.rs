@@ -2,18 +2,17 @@
 //! model does better by this form, as far as the search tells.
 
 use crate::agent::ChatAgent;
-use crate::dilu::{Dilu, SetPoints};
 use crate::planner::{Handed, LanguagePlanner, Source};
 use crate::waypoints::SPACING_STEPS;
-use planagent_agent::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
+use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerError};
 use planagent_agent::planner_registry::PlannerEntry;
-use planagent_agent::reasoning::{DrivingAction, SeenPlace, WaypointList};
+use planagent_agent::reasoning::{SeenPlace, WaypointList};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_controls::foresight::{self, Foresight};
-use planagent_controls::search::{Candidate, HORIZON, best, search_ahead};
-use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
-use planagent_world::{EgoState, HistorySample, SceneView};
+use planagent_controls::search::{Candidate, best, search_ahead};
+use planagent_controls::trial::horizon;
+use planagent_world::SceneView;
 
 /// Finds the best answer at the present of a simulation.
 pub(crate) type Find<A> = fn(&ClosedLoop<'static>, &A) -> Option<<A as ChatAgent>::Answer>;
@@ -63,12 +62,6 @@ impl<A: ChatAgent> Foresight for AnswerOracle<A> {
     }
 }
 
-/// Iterations that the simulation has left for a search.
-pub(crate) fn horizon(simulation: &ClosedLoop<'_>) -> usize {
-    let last = simulation.scenario().iterations() - 1;
-    HORIZON.min(last - simulation.iteration())
-}
-
 /// Where the best planner code of a search leads in the roll-out of its plan.
 pub(crate) fn best_waypoints<A>(simulation: &ClosedLoop<'static>, _: &A) -> Option<WaypointList> {
     let scene = simulation.scene();
@@ -91,62 +84,4 @@ pub(crate) fn waypoints_of(simulation: &ClosedLoop<'_>, code: &Candidate) -> Opt
     };
     let [a, b, c, d, e, f] = std::array::from_fn(seen);
     Some(WaypointList([a?, b?, c?, d?, e?, f?]))
-}
-
-/// Iterations between two actions of a trial.
-const ACTION_STEPS: usize = 10;
-/// What a meter of a trial counts beside the score, which is between 0 and 1.
-const METER: f64 = 0.001;
-
-/// The action after which nuPlan's score over six seconds is best, whether the set-points are kept
-/// after it or the ego slows down every second; among equals the first that is offered.
-pub(crate) fn best_action(simulation: &ClosedLoop<'_>, agent: &Dilu) -> Option<DrivingAction> {
-    let scene = simulation.scene();
-    let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok()?;
-    let set = agent.set_points_in(GraphedScene::new(&scene, &graph));
-    let mut best: Option<(f64, DrivingAction)> = None;
-    for action in set.offered(&scene) {
-        let next = set.moved(action, &scene);
-        let values = [DrivingAction::Idle, DrivingAction::Slower]
-            .into_iter()
-            .filter_map(|then| value(simulation, next, then));
-        let Some(value) = values.max_by(f64::total_cmp) else {
-            continue;
-        };
-        if best.is_none_or(|(other, _)| value > other) {
-            best = Some((value, action));
-        }
-    }
-    best.map(|(_, action)| action)
-}
-
-/// The value of a drive from these set-points, with an action every second; `None` where it cannot
-/// be scored.
-fn value(simulation: &ClosedLoop<'_>, mut set: SetPoints, then: DrivingAction) -> Option<f64> {
-    let mut trial = simulation.clone();
-    let mut samples: Vec<HistorySample> = Vec::new();
-    for step in 0..horizon(simulation) {
-        if trial.is_over() {
-            break;
-        }
-        let scene = trial.scene();
-        set = set.tracked(&scene);
-        if step > 0 && step % ACTION_STEPS == 0 {
-            set = set.moved(then, &scene);
-        }
-        let trajectory = set.trajectory(&scene).ok()?;
-        samples.push(trial.present().clone());
-        trial.advance(&trajectory, "trial").ok()?;
-    }
-    let scenario = simulation.scenario();
-    let from = scenario.start + simulation.iteration();
-    let frames = scenario.frames.get(from..=from + samples.len())?;
-    let expert: Vec<EgoState> = frames.iter().map(|frame| frame.ego).collect();
-    let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
-    let evaluation = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?;
-    let ends = samples.first().zip(samples.last());
-    let driven = ends.map_or(0.0, |(first, last)| {
-        first.ego.rear_axle.distance(&last.ego.rear_axle)
-    });
-    Some(evaluation.score.value + METER * driven)
 }

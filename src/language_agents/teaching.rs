@@ -2,9 +2,8 @@
 //! form of this agent.
 
 use crate::agent::{ChatAgent, Parts};
-use crate::{dilu, gpt_driver};
 use planagent_agent::environment::{GraphedScene, LaneGraph};
-use planagent_agent::planner::LanguageAgentSettings;
+use planagent_agent::planner::AgentSettings;
 use planagent_agent::reasoning::{PromptError, QuestionPrompts};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_controls::search::Candidate;
@@ -67,28 +66,32 @@ pub struct Teacher {
     teach: Box<Teach>,
 }
 
-impl Teacher {
-    /// Names of the agents that have one.
-    pub const NAMES: [&str; 2] = [gpt_driver::PARTS.name, dilu::PARTS.name];
-
-    /// That of an agent; `None` for another name.
+/// How an agent's answers are taught.
+pub(crate) struct Teaching {
+    /// The agent's name as a planner.
+    pub(crate) name: &'static str,
+    /// Its teacher.
     ///
     /// # Errors
     /// When the agent's prompts cannot be read.
-    pub fn find(name: &str) -> Result<Option<Self>, PromptError> {
-        Ok(if name == gpt_driver::PARTS.name {
-            Some(Self::from_parts(gpt_driver::PARTS)?)
-        } else if name == dilu::PARTS.name {
-            Some(Self::from_parts(dilu::PARTS)?)
-        } else {
-            None
-        })
-    }
+    pub(crate) open: Box<dyn Fn() -> Result<Teacher, PromptError>>,
+}
 
+impl Teaching {
+    /// That of an agent.
+    pub(crate) fn of<A: Taught + 'static>(parts: Parts<A>) -> Self {
+        Self {
+            name: parts.keys.planner,
+            open: Box::new(move || Teacher::from_parts(parts)),
+        }
+    }
+}
+
+impl Teacher {
     fn from_parts<A: Taught + 'static>(parts: Parts<A>) -> Result<Self, PromptError> {
         let prompts = Arc::new((parts.prompts)()?);
         Ok(Self {
-            name: parts.name,
+            name: parts.keys.planner,
             teach: Box::new(move |state| taught(parts, &prompts, state)),
         })
     }
@@ -118,8 +121,7 @@ fn taught<A: Taught>(
         best,
     }: SearchedState<'_>,
 ) -> Result<Option<TaughtAnswer>, PromptError> {
-    let settings = LanguageAgentSettings::default();
-    let mut agent = (parts.make)(&settings, Arc::clone(prompts))
+    let mut agent = (parts.make)(AgentSettings::default(), Arc::clone(prompts))
         .expect("default settings name no memory that could fail to open");
     let scene = simulation.scene();
     let seen = GraphedScene::new(&scene, graph);

@@ -1,7 +1,8 @@
 //! What teachers write, read back by their agents.
 
-use crate::teaching::{SearchedState, Teacher};
+use crate::teaching::SearchedState;
 use crate::tests::{Stub, default_scene, drive};
+use crate::{taught_agents, teacher};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{Decision, PlanAgentSettings};
 use planagent_agent::simulation::{Challenge, ClosedLoop};
@@ -21,8 +22,8 @@ fn an_agent_asks_what_its_teacher_answers_and_carries_the_answer_out() {
         graph: &graph,
         best: search::best(&tried).unwrap(),
     };
-    for name in Teacher::NAMES {
-        let teacher = Teacher::find(name).unwrap().unwrap();
+    for name in taught_agents() {
+        let teacher = teacher(name).unwrap().unwrap();
         assert_eq!(teacher.name(), name);
         let taught = teacher.teach(state).unwrap().unwrap();
         assert!(!taught.system.is_empty());
@@ -42,5 +43,5 @@ fn an_agent_asks_what_its_teacher_answers_and_carries_the_answer_out() {
         assert_eq!(model.asked.lock().unwrap()[0].0, taught.prompt);
         assert!(!taught.answer.contains("-0.00"), "{}", taught.answer);
     }
-    assert!(Teacher::find("agent-driver").unwrap().is_none());
+    assert!(teacher("agent-driver").unwrap().is_none());
 }

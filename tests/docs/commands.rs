@@ -347,6 +347,21 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 14 --challenge reactive --planner pdm-closed,oracle-code,oracle-dilu,oracle-gpt-driver",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 14 --challenge reactive --planner oracle-agent-driver,oracle-llm-assist-unc,oracle-llm-assist-par",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 14 --challenge reactive --planner llm-assist-unc,llm-assist-par --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
+        "docs/results.md",
         "planagent dataset --for messages --out data/agents --states 2849 --validation 300 --model nano --prompt-set brief --agents gpt-driver,dilu --modified 0.3",
         HOURS,
     ),

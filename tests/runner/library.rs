@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
 
 const SCENE: &str = "generated/changing_lane/3";
+/// Another scene, which a limit leaves out.
+const OTHER_SCENE: &str = "generated/stopping_with_lead/1";
 
 #[test]
 fn a_program_runs_its_own_planner_and_resumes_the_run() {
@@ -65,7 +67,8 @@ fn a_program_writes_a_table_of_the_paper() {
     let work = TempDir::new().unwrap();
     let request = StudiesRequest {
         suites: vec!["recorded".to_owned()],
-        scenarios: vec![SCENE.to_owned()],
+        scenarios: vec![SCENE.to_owned(), OTHER_SCENE.to_owned()],
+        limit: Some(1),
         out: work.path().to_owned(),
         ..StudiesRequest::default()
     };
@@ -73,5 +76,10 @@ fn a_program_writes_a_table_of_the_paper() {
     let mut studies = Studies::new(&request, &config, &listener).unwrap();
     let outcome = studies.simulate(["scenario-types"]).unwrap();
     assert!(outcome.failed.is_empty() && outcome.missing.is_empty());
-    assert!(work.path().join("scenario-types/results.md").is_file());
+    let results = work.path().join("scenario-types-limit-1/results.md");
+    let text = std::fs::read_to_string(results).unwrap();
+    assert!(
+        text.contains("--limit 1 ") && text.contains("1 scene"),
+        "{text}"
+    );
 }

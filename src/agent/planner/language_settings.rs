@@ -1,167 +1,225 @@
-//! Section `language_agents`: the other language agents of the paper's comparison.
+//! Section `language_agents`: the other language agents of the paper's comparison. Which agents there
+//! are, the registry knows; an agent declares its settings beside its code.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-/// Settings of the agents by name.
+/// The section, as the prefix of its keys.
+const SECTION: &str = "language_agents";
+
+/// The settings that an agent has, with their defaults.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgentKeys {
+    /// Its name as a planner; its key has `_` for `-`.
+    pub planner: &'static str,
+    /// Time between planning calls, seconds.
+    pub interval_s: f64,
+    /// Maximum tokens of an answer.
+    pub max_tokens: usize,
+    /// Remembered items in a prompt, for an agent that lets users choose.
+    pub examples: Option<usize>,
+    /// Whether it reads a memory.
+    pub has_memory: bool,
+}
+
+/// The settings of one agent that are set; the others have the agent's defaults.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LanguageAgentSettings {
-    /// GPT-Driver.
-    pub gpt_driver: GptDriverSettings,
-    /// `DiLu`.
-    pub dilu: DiluSettings,
-    /// Agent-Driver.
-    pub agent_driver: AgentDriverSettings,
+pub struct AgentSettings {
+    /// Time between planning calls, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub interval_s: Option<f64>,
+    /// Maximum tokens of an answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_tokens: Option<usize>,
+    /// Remembered items in a prompt.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub examples: Option<usize>,
+    /// The file of the memory.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory: Option<String>,
 }
 
-/// What the settings of every agent have.
-#[doc(hidden)]
-#[derive(Debug, Clone, Copy)]
-#[allow(missing_docs, reason = "those of the agents' settings")]
-pub struct AskedAgent {
-    pub name: &'static str,
-    pub interval_s: f64,
-    pub max_tokens: usize,
+impl AgentSettings {
+    /// A setting that the agent does not have.
+    #[doc(hidden)]
+    pub fn foreign(&self, keys: &AgentKeys) -> Option<&'static str> {
+        if self.examples.is_some() && keys.examples.is_none() {
+            Some("examples")
+        } else if self.memory.is_some() && !keys.has_memory {
+            Some("memory")
+        } else {
+            None
+        }
+    }
+
+    /// The same with every setting that has a default.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn whole(&self, keys: &AgentKeys) -> Self {
+        Self {
+            interval_s: self.interval_s.or(Some(keys.interval_s)),
+            max_tokens: self.max_tokens.or(Some(keys.max_tokens)),
+            examples: self.examples.or(keys.examples),
+            memory: self.memory.clone(),
+        }
+    }
+
+    /// The same without what is set to its default.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn changes(self, keys: &AgentKeys) -> Self {
+        Self {
+            interval_s: self.interval_s.filter(|set| *set != keys.interval_s),
+            max_tokens: self.max_tokens.filter(|set| *set != keys.max_tokens),
+            examples: self.examples.filter(|set| Some(*set) != keys.examples),
+            memory: self.memory,
+        }
+    }
+
+    /// Time between planning calls, seconds.
+    #[doc(hidden)]
+    pub fn interval_s(&self, keys: &AgentKeys) -> f64 {
+        self.interval_s.unwrap_or(keys.interval_s)
+    }
+
+    /// Maximum tokens of an answer.
+    #[doc(hidden)]
+    pub fn max_tokens(&self, keys: &AgentKeys) -> usize {
+        self.max_tokens.unwrap_or(keys.max_tokens)
+    }
+
+    /// Remembered items in a prompt.
+    #[doc(hidden)]
+    pub fn examples(&self, keys: &AgentKeys) -> usize {
+        self.examples.or(keys.examples).unwrap_or_default()
+    }
 }
+
+/// Settings of the agents by their keys.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LanguageAgentSettings(BTreeMap<String, AgentSettings>);
 
 impl LanguageAgentSettings {
-    /// What all agents have.
-    #[doc(hidden)]
-    pub fn agents(&self) -> impl Iterator<Item = AskedAgent> {
-        let (gpt_driver, dilu, agent_driver) = (&self.gpt_driver, &self.dilu, &self.agent_driver);
-        let agent = |name, interval_s, max_tokens| AskedAgent {
-            name,
-            interval_s,
-            max_tokens,
-        };
-        [
-            agent("gpt_driver", gpt_driver.interval_s, gpt_driver.max_tokens),
-            agent("dilu", dilu.interval_s, dilu.max_tokens),
-            agent(
-                "agent_driver",
-                agent_driver.interval_s,
-                agent_driver.max_tokens,
-            ),
-        ]
-        .into_iter()
+    /// The key of an agent, by its name as a planner.
+    pub fn key(planner: &str) -> String {
+        planner.replace('-', "_")
+    }
+
+    /// What is set for an agent, by its name as a planner.
+    pub fn of(&self, planner: &str) -> AgentSettings {
+        self.0.get(&Self::key(planner)).cloned().unwrap_or_default()
+    }
+
+    /// The same, to set more.
+    pub fn of_mut(&mut self, planner: &str) -> &mut AgentSettings {
+        self.0.entry(Self::key(planner)).or_default()
     }
 
     /// The memories that are set: key, planner and file.
     #[doc(hidden)]
-    pub fn memories(&self) -> impl Iterator<Item = (&'static str, &'static str, &str)> {
-        [
-            ("language_agents.dilu.memory", "dilu", &self.dilu.memory),
-            (
-                "language_agents.agent_driver.memory",
-                "agent-driver",
-                &self.agent_driver.memory,
-            ),
-        ]
-        .into_iter()
-        .filter_map(|(key, planner, file)| Some((key, planner, file.as_deref()?)))
+    pub fn memories(&self) -> impl Iterator<Item = (String, String, &str)> {
+        self.0.iter().filter_map(|(agent, set)| {
+            let file = set.memory.as_deref()?;
+            let key = Self::memory_key(agent);
+            Some((key, agent.replace('_', "-"), file))
+        })
+    }
+
+    /// The key of an agent's memory, by the agent's name or key.
+    #[doc(hidden)]
+    pub fn memory_key(agent: &str) -> String {
+        format!("{SECTION}.{}.memory", Self::key(agent))
     }
 
     /// The files of all memories.
     #[doc(hidden)]
     pub fn memories_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        [&mut self.dilu.memory, &mut self.agent_driver.memory]
-            .into_iter()
-            .flatten()
+        self.0.values_mut().filter_map(|set| set.memory.as_mut())
     }
 
     /// The same without memories.
     #[doc(hidden)]
     #[must_use]
     pub fn without_memories(mut self) -> Self {
-        (self.dilu.memory, self.agent_driver.memory) = (None, None);
+        self.0.values_mut().for_each(|set| set.memory = None);
         self
     }
 
     /// Those of one planner alone, by the planner's name; of another planner, the defaults.
     #[doc(hidden)]
     #[must_use]
-    pub fn only(self, planner: &str) -> Self {
-        let agent = planner.strip_prefix("oracle-").unwrap_or(planner);
-        let mut only = Self::default();
-        match agent {
-            "gpt-driver" => only.gpt_driver = self.gpt_driver,
-            "dilu" => only.dilu = self.dilu,
-            "agent-driver" => only.agent_driver = self.agent_driver,
-            _ => {}
-        }
-        only
+    pub fn only(mut self, planner: &str) -> Self {
+        let own = Self::key(planner.strip_prefix("oracle-").unwrap_or(planner));
+        self.0.retain(|agent, _| *agent == own);
+        self
     }
 
-    /// Whether every setting has its default.
-    pub fn is_default(&self) -> bool {
-        *self == Self::default()
+    /// What is set, by the agents' keys.
+    #[doc(hidden)]
+    pub fn set(&self) -> &BTreeMap<String, AgentSettings> {
+        &self.0
     }
 }
 
-/// Table `language_agents.gpt_driver`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GptDriverSettings {
-    /// Time between planning calls, seconds.
-    pub interval_s: f64,
-    /// Maximum tokens of an answer.
-    pub max_tokens: usize,
-}
-
-impl Default for GptDriverSettings {
-    fn default() -> Self {
-        Self {
-            interval_s: 1.0,
-            max_tokens: 256,
-        }
+impl FromIterator<(String, AgentSettings)> for LanguageAgentSettings {
+    fn from_iter<I: IntoIterator<Item = (String, AgentSettings)>>(agents: I) -> Self {
+        Self(agents.into_iter().collect())
     }
 }
 
-/// Table `language_agents.dilu`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DiluSettings {
-    /// Time between planning calls, seconds.
-    pub interval_s: f64,
-    /// Maximum tokens of an answer.
-    pub max_tokens: usize,
-    /// Remembered decisions in a prompt.
-    pub examples: usize,
-    /// The file of the memory; `None` for none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub memory: Option<String>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl Default for DiluSettings {
-    fn default() -> Self {
-        Self {
-            interval_s: 1.0,
-            max_tokens: 320,
-            examples: 3,
-            memory: None,
-        }
+    const KEYS: AgentKeys = AgentKeys {
+        planner: "some-driver",
+        interval_s: 1.0,
+        max_tokens: 256,
+        examples: None,
+        has_memory: true,
+    };
+
+    #[test]
+    fn what_is_set_to_its_default_is_no_change() {
+        let set = AgentSettings {
+            interval_s: Some(1.0),
+            max_tokens: Some(8),
+            ..AgentSettings::default()
+        };
+        let changes = set.clone().changes(&KEYS);
+        assert_eq!(changes.interval_s, None);
+        assert_eq!(changes.whole(&KEYS), set.whole(&KEYS));
+        assert_eq!((set.interval_s(&KEYS), set.max_tokens(&KEYS)), (1.0, 8));
     }
-}
 
-/// Table `language_agents.agent_driver`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AgentDriverSettings {
-    /// Time between planning calls, seconds.
-    pub interval_s: f64,
-    /// Maximum tokens of reasons, and of waypoints.
-    pub max_tokens: usize,
-    /// The file of the memory; `None` for none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub memory: Option<String>,
-}
+    #[test]
+    fn a_setting_of_other_agents_is_foreign() {
+        let set = AgentSettings {
+            examples: Some(2),
+            memory: Some("a".to_owned()),
+            ..AgentSettings::default()
+        };
+        assert_eq!(set.foreign(&KEYS), Some("examples"));
+        let keys = AgentKeys {
+            examples: Some(3),
+            has_memory: false,
+            ..KEYS
+        };
+        assert_eq!(set.foreign(&keys), Some("memory"));
+        assert_eq!((set.examples(&KEYS), set.examples(&keys)), (2, 2));
+    }
 
-impl Default for AgentDriverSettings {
-    fn default() -> Self {
-        Self {
-            interval_s: 2.0,
-            max_tokens: 256,
-            memory: None,
-        }
+    #[test]
+    fn an_oracle_has_the_settings_of_its_agent_and_other_planners_none() {
+        let mut settings = LanguageAgentSettings::default();
+        settings.of_mut("some-driver").memory = Some("m.json".to_owned());
+        assert_eq!(settings.clone().only("oracle-some-driver"), settings);
+        assert_eq!(settings.clone().only("idm").set().len(), 0);
+        let memories: Vec<_> = settings.memories().collect();
+        let key = "language_agents.some_driver.memory".to_owned();
+        assert_eq!(memories, [(key, "some-driver".to_owned(), "m.json")]);
+        assert_eq!(settings.without_memories().memories().count(), 0);
     }
 }

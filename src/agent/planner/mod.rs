@@ -48,12 +48,14 @@ pub use exec::{
 pub use gated::Gated;
 pub use idm::IdmPlanner;
 pub use language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
-pub use language_settings::{
-    AgentDriverSettings, DiluSettings, GptDriverSettings, LanguageAgentSettings,
-};
+#[doc(hidden)]
+pub use language_settings::AgentKeys;
+pub use language_settings::{AgentSettings, LanguageAgentSettings};
 pub use latency::Latency;
 pub use layer::AgentLayer;
 pub use llm_assist::{AskedModel, LlmAssist};
+#[doc(hidden)]
+pub use llm_assist::{AssistDrive, HandedAnswers};
 pub use log_replay::LogReplay;
 pub use monitored::Monitored;
 pub use name::PlannerName;

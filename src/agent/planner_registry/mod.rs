@@ -5,9 +5,9 @@
 mod commands;
 
 use crate::planner::{
-    AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay,
-    PdmClosed, PdmClosedPlus, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName,
-    SimplePlanner,
+    AgentKeys, AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist,
+    LogReplay, PdmClosed, PdmClosedPlus, PlanAgent, PlanAgentSettings, Planner, PlannerError,
+    PlannerName, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
 use crate::simulation::ClosedLoop;
@@ -95,6 +95,7 @@ pub struct PlannerEntry {
     prepare: Arc<Prepare>,
     digests: Arc<Digests>,
     least_context: usize,
+    agent: Option<AgentKeys>,
 }
 
 impl PlannerEntry {
@@ -115,6 +116,17 @@ impl PlannerEntry {
             prepare,
             digests: Arc::new(|_: &PlanAgentSettings| BTreeMap::new()),
             least_context: 0,
+            agent: None,
+        }
+    }
+
+    /// The same, with settings of its own in section `language_agents`.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn with_keys(self, keys: AgentKeys) -> Self {
+        Self {
+            agent: Some(keys),
+            ..self
         }
     }
 
@@ -324,6 +336,12 @@ impl PlannerRegistry {
             .iter()
             .filter(|entry| entry.needs == PlannerNeeds::Checkpoint)
             .map(|entry| entry.name)
+    }
+
+    /// The planners with settings of their own in section `language_agents`.
+    #[doc(hidden)]
+    pub fn language_agents(&self) -> impl Iterator<Item = AgentKeys> {
+        self.entries.iter().filter_map(|entry| entry.agent)
     }
 
     /// The planner of a name.

@@ -1,17 +1,15 @@
 //! `memory`.
 
 use super::model::ModelArguments;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use clap::{Args, Subcommand};
+use planagent_lab::memory::agents;
 use std::path::PathBuf;
 
 /// The subcommands of `memory`.
 #[derive(Debug, Subcommand)]
 pub(crate) enum MemoryCommand {
     /// Fill a memory from generated scenarios of training seeds.
-    ///
-    /// dilu: the model drives them; decisions of drives without an accident are kept, and after an
-    /// accident the model is asked for the lesson. agent-driver: the logged motions are kept, and
-    /// no model is needed.
     Fill(FillArguments),
 }
 
@@ -19,8 +17,8 @@ pub(crate) enum MemoryCommand {
 #[derive(Debug, Args)]
 pub(crate) struct FillArguments {
     /// The agent.
-    #[arg(value_enum)]
-    pub(crate) agent: MemoryAgent,
+    #[arg(value_parser = remembering())]
+    pub(crate) agent: String,
     /// The file that is written.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
@@ -31,9 +29,11 @@ pub(crate) struct FillArguments {
     pub(super) model: ModelArguments,
 }
 
-/// An agent with a memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum MemoryAgent {
-    Dilu,
-    AgentDriver,
+/// The agents with a memory, each with what is kept.
+fn remembering() -> PossibleValuesParser {
+    let agents = agents().into_iter();
+    agents
+        .map(|filler| PossibleValue::new(filler.keys.planner).help(filler.about))
+        .collect::<Vec<_>>()
+        .into()
 }

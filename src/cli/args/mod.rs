@@ -14,7 +14,7 @@ mod studies;
 pub(super) use ask::AskArguments;
 pub(super) use card::CardArguments;
 pub(super) use data::DataArguments;
-pub(super) use memory::{FillArguments, MemoryAgent, MemoryCommand};
+pub(super) use memory::{FillArguments, MemoryCommand};
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{

@@ -3,13 +3,13 @@
 use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::help;
-use crate::words::path_word;
+use crate::words::{count, path_word};
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use planagent_lab::bench::protocol::Precision;
-use planagent_lab::dataset::Teacher;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
+use planagent_lab::dataset::taught_agents;
 use planagent_lab::study_runs::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
@@ -122,7 +122,7 @@ fn imitation_planner() -> clap::builder::PossibleValuesParser {
 }
 
 fn taught_agent() -> clap::builder::PossibleValuesParser {
-    Teacher::NAMES.into()
+    taught_agents().collect::<Vec<_>>().into()
 }
 
 /// Arguments of `study`.
@@ -133,6 +133,11 @@ pub(crate) struct StudyArguments {
     /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
     #[arg(long)]
     pub(crate) quick: bool,
+    /// Only N scenes of a suite, evenly from the types.
+    ///
+    /// The first of each type, then the second of each, and so on.
+    #[arg(long, value_name = "N", value_parser = count, conflicts_with = "quick")]
+    pub(crate) limit: Option<usize>,
     /// Suites, separated by commas [default: those of the study].
     ///
     /// Splits as `simulate` takes them, or recorded, the recordings of --scenario.
@@ -186,6 +191,7 @@ impl StudyArguments {
             out: self.out.clone(),
             bench: self.bench.clone(),
             quick: self.quick,
+            limit: self.limit,
             retry_failed: self.retry_failed,
         })
     }

@@ -9,7 +9,7 @@ use planagent_agent::reasoning::PromptSet;
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
 use planagent_lab::dataset::{
-    Chats, Counts, MessageModel, Settings, Teacher, check_folder, check_messages,
+    Chats, Counts, MessageModel, Settings, check_folder, check_messages, teacher,
     write_message_card, write_messages, write_split, write_twins,
 };
 use planagent_mllm::ModelSource;
@@ -123,7 +123,7 @@ fn messages(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyh
     };
     let mut teachers = Vec::new();
     for name in &flags.agents {
-        teachers.extend(Teacher::find(name)?);
+        teachers.extend(teacher(name)?);
     }
     let chats = Chats {
         model: &model,

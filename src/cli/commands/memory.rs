@@ -1,14 +1,13 @@
 //! `planagent memory`.
 
-use crate::args::{FillArguments, MemoryAgent, MemoryCommand};
+use crate::args::{FillArguments, MemoryCommand};
 use crate::picture::check_output;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_files::write_whole;
-use planagent_lab::memory::{Filled, Training, fill_decisions, fill_experiences};
+use planagent_lab::memory::{Filled, Training, agents, fill_from_drives, fill_from_logs};
 use planagent_runs::runner::{Config, load_model};
-use serde::Serialize;
 
 /// Most scenarios of a memory: those of a seed.
 const MAX_SCENARIOS: usize = 100_000;
@@ -35,24 +34,23 @@ pub(crate) fn run(
         seed: config.seed,
         scenarios: flags.scenarios,
     };
-    match flags.agent {
-        MemoryAgent::AgentDriver => write(flags, &fill_experiences(training), printer),
-        MemoryAgent::Dilu => {
-            let loaded = load_model(config, &listener(printer))?;
-            let bar = printer.progress(flags.scenarios as u64, "drives");
-            let parts = loaded.agent_parts(config, &listener(printer))?;
-            let filled = fill_decisions(training, &parts, &|| bar.inc(1))?;
-            bar.finish_and_clear();
-            write(flags, &filled, printer)
-        }
+    let mut agents = agents().into_iter();
+    let filler = agents
+        .find(|filler| filler.keys.planner == flags.agent)
+        .with_context(|| format!("{} has no memory", flags.agent))?;
+    if let Some(filled) = fill_from_logs(&filler, training) {
+        return write(flags, &filled, printer);
     }
+    let loaded = load_model(config, &listener(printer))?;
+    let bar = printer.progress(flags.scenarios as u64, "drives");
+    let parts = loaded.agent_parts(config, &listener(printer))?;
+    let filled = fill_from_drives(&filler, training, &parts, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    let filled = filled.with_context(|| format!("{} is filled by no drives", flags.agent))?;
+    write(flags, &filled, printer)
 }
 
-fn write<T: Serialize>(
-    flags: &FillArguments,
-    filled: &Filled<T>,
-    printer: Printer,
-) -> anyhow::Result<Exit> {
+fn write(flags: &FillArguments, filled: &Filled, printer: Printer) -> anyhow::Result<Exit> {
     for note in &filled.notes {
         printer.note(format!("nothing is kept of {note}"));
     }

@@ -49,10 +49,11 @@ impl Loop<'_> {
         let request = StudiesRequest {
             registry: all_planners(),
             out: self.out.to_owned(),
+            limit: Some(self.limit),
             retry_failed: self.retry_failed,
             ..StudiesRequest::default()
         };
-        let mut studies = Studies::new(&request, config, listener)?.limited(self.limit);
+        let mut studies = Studies::new(&request, config, listener)?;
         let sources = study(self.sees, self.oncoming);
         let suites = studies.simulate_variants(sources.clone())?;
         let cost = earlier.or_else(|| CallCost::from_rows(model_rows(&suites)));

@@ -20,7 +20,7 @@ pub mod twins;
 pub use count::Counts;
 pub(crate) use label::LabeledState;
 pub use messages::{Chats, MessageModel, check_messages, write_message_card, write_messages};
-pub use planagent_language_agents::Teacher;
+pub use planagent_language_agents::{Teacher, taught_agents, teacher};
 pub use reward::{Reward, RewardError, RewardKind, RewardOutcome, rewards};
 pub(crate) use scenes::scenarios;
 pub(crate) use scenes::training_scenarios;

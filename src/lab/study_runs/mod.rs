@@ -80,13 +80,6 @@ impl<'a> Studies<'a> {
         })
     }
 
-    /// The same with at most so many scenes of a suite, evenly from their types.
-    #[must_use]
-    pub(crate) fn limited(mut self, limit: usize) -> Self {
-        self.suites.limit = Some(limit);
-        self
-    }
-
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
@@ -249,11 +242,13 @@ impl<'a> Studies<'a> {
 
     /// The folder of a study's results.
     fn folder(&self, name: &str) -> PathBuf {
-        self.request.out.join(if self.request.quick {
-            format!("{name}-quick")
-        } else {
-            name.to_owned()
-        })
+        self.request
+            .out
+            .join(match (self.request.quick, self.request.limit) {
+                (true, _) => format!("{name}-quick"),
+                (false, Some(limit)) => format!("{name}-limit-{limit}"),
+                (false, None) => name.to_owned(),
+            })
     }
 
     /// The command that makes the results of a study. Settings of files and of options are those of
@@ -261,6 +256,7 @@ impl<'a> Studies<'a> {
     fn command(&self, name: &str) -> Result<String, RunnerError> {
         let mut words = vec!["planagent study".to_owned(), name.to_owned()];
         words.extend(self.request.quick.then(|| "--quick".to_owned()));
+        words.extend(self.request.limit.map(|limit| format!("--limit {limit}")));
         if !self.request.suites.is_empty() {
             words.push(format!("--suite {}", self.request.suites.join(",")));
         }

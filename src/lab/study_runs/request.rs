@@ -21,6 +21,8 @@ pub struct StudiesRequest {
     pub bench: Option<PathBuf>,
     /// Whether to take only the first scenes of each type.
     pub quick: bool,
+    /// Maximum number of scenes of a suite, taken evenly from their types.
+    pub limit: Option<usize>,
     /// Whether to repeat failed simulations.
     pub retry_failed: bool,
 }

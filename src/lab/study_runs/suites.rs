@@ -39,8 +39,7 @@ pub(super) struct Suites<'a> {
     found: BTreeMap<String, Rc<SelectedSuite>>,
     /// Studies that lack recordings.
     lacking: Vec<String>,
-    /// Maximum number of scenes of a suite, taken evenly from their types.
-    pub(super) limit: Option<usize>,
+    limit: Option<usize>,
 }
 
 impl<'a> Suites<'a> {
@@ -56,7 +55,7 @@ impl<'a> Suites<'a> {
             roots,
             found: BTreeMap::new(),
             lacking: Vec::new(),
-            limit: None,
+            limit: request.limit,
         })
     }
 

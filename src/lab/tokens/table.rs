@@ -45,7 +45,7 @@ pub struct TokenTable {
     pub agents: Option<f64>,
     /// Name of the model whose tokenizer counts.
     pub model: Option<String>,
-    /// A row a description, in the order of [`SceneText::ALL`].
+    /// A row a description, in the order of [`SceneText::all`].
     pub rows: Vec<TokenTableRow>,
 }
 
@@ -55,11 +55,11 @@ impl TokenTable {
         let column = |place: usize, of: fn(&Tokens) -> Option<usize>| {
             TokenMean::from_counts(
                 rows.iter()
-                    .filter_map(|row| of(&row.tokens[place]))
+                    .filter_map(|row| of(row.tokens.get(place)?))
                     .collect(),
             )
         };
-        let described = SceneText::ALL
+        let described = SceneText::all()
             .into_iter()
             .enumerate()
             .map(|(place, text)| TokenTableRow {
@@ -89,10 +89,10 @@ mod tests {
             scenario: "a".to_owned(),
             iteration: 0,
             agents: count,
-            tokens: [Tokens {
+            tokens: vec![Tokens {
                 cl100k: count,
                 model: None,
-            }; SceneText::ALL.len()],
+            }],
         };
         let rows: Vec<TokenRow> = (1..=20).map(row).collect();
         let table = TokenTable::new(&rows, None);

@@ -1,6 +1,6 @@
 //! The memory of experiences: logged motions with what followed.
 
-use crate::memory::ExperienceItem;
+use super::item::ExperienceItem;
 use planagent_agent::environment::coordinates::EgoFacts;
 
 /// Experiences that the model chooses from.

@@ -1,18 +1,31 @@
 //! Experiences of logged drives.
 
-use crate::memory::ExperienceItem;
+use super::item::ExperienceItem;
+use crate::fill::item;
 use planagent_agent::environment::coordinates::EgoFacts;
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::reasoning::LISTED_WAYPOINTS;
 use planagent_world::{EgoState, SceneView};
+use serde_json::Value;
 
 /// Of a log, a state every half second is an experience.
 pub(super) const EVERY: usize = 5;
+/// Length of an experience, frames.
+pub(super) const FUTURE: usize = LISTED_WAYPOINTS * EVERY;
+
+/// The experience at one instant of a log, as JSON.
+pub(super) fn left_item(
+    scenario: &str,
+    scene: &SceneView<'_>,
+    future: &[EgoState],
+) -> Option<Value> {
+    item(experience(scenario, scene, future)?)
+}
 
 /// The experience at one instant of a log: the ego's motion, and where it went. `future` has the
 /// ego's states from the next one on, 0.1 s apart. `None` without a lane graph, or where the log
 /// ends before the last waypoint.
-pub fn experience(
+fn experience(
     scenario: &str,
     scene: &SceneView<'_>,
     future: &[EgoState],

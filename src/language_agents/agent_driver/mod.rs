@@ -7,21 +7,27 @@
 mod check;
 mod experience;
 mod fill;
+mod item;
 mod tools;
 
-pub use fill::experience;
+pub(crate) use item::ExperienceItem;
 
 use crate::agent::{ChatAgent, Parts, Reply, beginning};
 use crate::chat::{Asked, Chat};
+use crate::described::DescribedText;
+use crate::fill::{MemoryFiller, MemorySource};
 use crate::gpt_driver::{action, reasons};
-use crate::memory::{ExperienceItem, Memory, open};
+use crate::made::{Agent, asking, handed};
+use crate::memory::{Memory, open};
+use crate::oracle::best_waypoints;
 use crate::waypoints::{Motion, WaypointTrack, any_of, read_waypoints, text, waypoint_grammar};
 use check::checked;
 use experience::{CANDIDATES, nearest};
+use fill::{EVERY, FUTURE, left_item};
 use minijinja::context;
 use planagent_agent::environment::coordinates::EgoFacts;
 use planagent_agent::environment::{GraphedScene, LaneGraph};
-use planagent_agent::planner::{AgentDriverSettings, PlannerError, PlannerInput};
+use planagent_agent::planner::{AgentKeys, AgentSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
     ParseError, PromptError, QuestionPrompts, ReasoningError, RoundName, ToolUse, WaypointList,
 };
@@ -74,12 +80,10 @@ fn in_whole(answer: &str, message: String, hint: String) -> ParseError {
 }
 
 /// What it is made of.
-pub(crate) const PARTS: Parts<AgentDriver> = Parts {
-    name: NAME,
+const PARTS: Parts<AgentDriver> = Parts {
+    keys: KEYS,
     prompts,
-    memory: |settings| settings.agent_driver.memory.as_deref(),
     make: |settings, prompts| {
-        let settings = settings.agent_driver.clone();
         let memory = open(settings.memory.as_deref(), NAME)?;
         Ok(AgentDriver {
             settings,
@@ -90,13 +94,59 @@ pub(crate) const PARTS: Parts<AgentDriver> = Parts {
     },
 };
 
+/// Its settings.
+const KEYS: AgentKeys = AgentKeys {
+    planner: NAME,
+    interval_s: 2.0,
+    max_tokens: 256,
+    examples: None,
+    has_memory: true,
+};
+
+/// What its model reads about a scene.
+const DESCRIBED: &[DescribedText] = &[DescribedText {
+    key: "agent_driver",
+    name: "Agent-Driver, motion and four tools",
+    definition: "GPT-Driver's lines about the ego, and what four of its tools tell: the objects within 20 m, where they go, \
+                         whether the place ahead is occupied, and the edges of the road",
+    published: None,
+    describe: agent_driver_text,
+}];
+
+/// The agent.
+pub(crate) fn agent() -> Agent {
+    Agent {
+        planner: asking(
+            "Agent-Driver; the model calls tools and gives waypoints",
+            PARTS,
+        ),
+        oracle: handed(
+            "oracle-agent-driver",
+            "Agent-Driver with waypoints of codes tried out ahead (a control)",
+            PARTS,
+            best_waypoints,
+        ),
+        texts: DESCRIBED,
+        teaching: None,
+        filler: Some(MemoryFiller {
+            keys: KEYS,
+            about: "logged motions; no model is needed",
+            source: MemorySource::Logs {
+                every: EVERY,
+                future: FUTURE,
+                item: left_item,
+            },
+        }),
+    }
+}
+
 /// The prompts of this agent.
 fn prompts() -> Result<QuestionPrompts, PromptError> {
     QuestionPrompts::open(PROMPTS, &TEXTS)
 }
 
 /// The motion block of a scene, and what a tool of each kind tells.
-pub fn agent_driver_text(GraphedScene { scene, graph }: GraphedScene<'_>) -> String {
+fn agent_driver_text(GraphedScene { scene, graph }: GraphedScene<'_>) -> String {
     let facts = Facts::from_scene(scene);
     let told = [
         (Group::Detection, "objects_around()"),
@@ -114,7 +164,7 @@ pub fn agent_driver_text(GraphedScene { scene, graph }: GraphedScene<'_>) -> Str
 
 /// Agent-Driver.
 pub(crate) struct AgentDriver {
-    settings: AgentDriverSettings,
+    settings: AgentSettings,
     prompts: Arc<QuestionPrompts>,
     memory: Arc<Memory<ExperienceItem>>,
     track: WaypointTrack,
@@ -244,7 +294,7 @@ impl ChatAgent for AgentDriver {
     type Plan = Trajectory;
 
     fn interval_s(&self) -> f64 {
-        self.settings.interval_s
+        self.settings.interval_s(&KEYS)
     }
 
     fn reset(&mut self) {
@@ -292,7 +342,7 @@ impl ChatAgent for AgentDriver {
                 text("Trajectory: "),
                 waypoint_grammar(observation.motion),
             ]),
-            max_tokens: self.settings.max_tokens,
+            max_tokens: self.settings.max_tokens(&KEYS),
         };
         chat.open(self.prompts.render("planning_system", context! {})?)?;
         let Some(answer) = chat.ask(plan)? else {
@@ -345,7 +395,10 @@ impl ChatAgent for AgentDriver {
 impl AgentDriver {
     /// The reasons as they are passed on to the plan. A server may write more than it is asked for.
     fn passed_on(&self, mut reasons: String, errors: &mut Vec<ParseError>) -> String {
-        let limit = self.settings.max_tokens.saturating_mul(MAX_TOKEN_BYTES);
+        let limit = self
+            .settings
+            .max_tokens(&KEYS)
+            .saturating_mul(MAX_TOKEN_BYTES);
         let message = if reasons.trim().is_empty() {
             "reasoning: the answer is empty; the plan is asked for without reasons".to_owned()
         } else if reasons.len() > limit {
@@ -386,7 +439,7 @@ impl AgentDriver {
                 text("\nPlan: "),
                 action(),
             ]),
-            max_tokens: self.settings.max_tokens,
+            max_tokens: self.settings.max_tokens(&KEYS),
         })
     }
 }

@@ -1,8 +1,8 @@
 //! The answer of DiLu: reasoning, then a delimiter and the number of an action.
 
+use super::item::DELIMITER;
 use crate::agent::{Reply, beginning};
 use crate::chat::Chat;
-use crate::memory::DELIMITER;
 use crate::waypoints::any_of;
 use planagent_agent::planner::Unreadable;
 use planagent_agent::reasoning::{DrivingAction, ParseError};

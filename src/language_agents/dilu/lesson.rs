@@ -2,9 +2,10 @@
 //! accident the corrected decision that led to it.
 
 use super::answer::{grammar, read_action};
-use super::prompts;
+use super::item::{DELIMITER, DiluItem, ends_with};
+use super::{KEYS, prompts};
 use crate::chat::{Asked, Chat};
-use crate::memory::{DELIMITER, DiluItem, ends_with};
+use crate::fill::{LeftDrive, LeftItems, item};
 use minijinja::context;
 use planagent_agent::planner::{AskedModel, PlannerError, PlanningCall};
 use planagent_agent::reasoning::{DrivingAction, PlannerAnswer, ReasoningError, RoundName};
@@ -16,29 +17,29 @@ const EVERY: usize = 5;
 
 /// A decision of a drive.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DriveCall {
+pub(crate) struct DriveCall {
     /// Its iteration.
-    pub iteration: usize,
+    pub(crate) iteration: usize,
     /// The scene in words.
-    pub description: String,
+    pub(crate) description: String,
     /// Reasoning and action as they were written.
-    pub answer: String,
+    pub(crate) answer: String,
     /// The action.
-    pub action: DrivingAction,
+    pub(crate) action: DrivingAction,
 }
 
 /// A drive of DiLu.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Drive {
+pub(crate) struct Drive {
     /// Its decisions that were carried out.
-    pub calls: Vec<DriveCall>,
+    pub(crate) calls: Vec<DriveCall>,
     /// The iteration of its first collision.
-    pub collided_at: Option<usize>,
+    pub(crate) collided_at: Option<usize>,
 }
 
 impl Drive {
     /// The drive of these planning calls.
-    pub fn new(calls: &[PlanningCall], collided_at: Option<usize>) -> Self {
+    pub(crate) fn new(calls: &[PlanningCall], collided_at: Option<usize>) -> Self {
         let carried_out = calls.iter().filter_map(|call| {
             let attempt = call.accepted()?;
             let Some(PlannerAnswer::Action(action)) = attempt.answer else {
@@ -81,12 +82,28 @@ fn with_action(answer: &str, action: DrivingAction) -> String {
     format!("{}\n{DELIMITER} {}", answer.trim_end(), action.id())
 }
 
+/// What a drive leaves, as JSON.
+pub(super) fn left_items(
+    LeftDrive {
+        scenario,
+        calls,
+        collided_at,
+        asked,
+        settings,
+        seed,
+    }: &LeftDrive<'_>,
+) -> Result<LeftItems, PlannerError> {
+    let drive = Drive::new(calls, *collided_at);
+    let left = lesson_items(scenario, &drive, asked, settings.max_tokens(&KEYS), *seed)?;
+    Ok(left.map(|items| items.into_iter().filter_map(item).collect()))
+}
+
 /// What a drive in a scenario of this name leaves. After an accident the model is asked for the
 /// lesson; an answer without a corrected action leaves nothing, and the text says why.
 ///
 /// # Errors
 /// When the model cannot be asked at all.
-pub fn lesson_items(
+pub(crate) fn lesson_items(
     scenario: &str,
     drive: &Drive,
     AskedModel {

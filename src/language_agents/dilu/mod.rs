@@ -7,22 +7,31 @@
 mod answer;
 mod control;
 mod describe;
+mod item;
 mod lesson;
+mod oracle;
 mod recall;
 mod taught;
 
-pub use lesson::{Drive, lesson_items};
+pub(crate) use item::DiluItem;
+#[cfg(test)]
+pub(crate) use lesson::{Drive, lesson_items};
 
 use crate::agent::{ChatAgent, Parts, Reply, in_answer};
 use crate::chat::{Asked, Chat};
-use crate::memory::{DiluItem, Memory, open};
-use crate::teaching::QuestionTexts;
+use crate::described::DescribedText;
+use crate::fill::{MemoryFiller, MemorySource};
+use crate::made::{Agent, asking, handed};
+use crate::memory::{Memory, open};
+use crate::teaching::{QuestionTexts, Teaching};
 use answer::{extraction, grammar, read_action, read_extraction};
 pub(crate) use control::SetPoints;
 use describe::description;
+use lesson::left_items;
 use minijinja::context;
+use oracle::best_action;
 use planagent_agent::environment::{GraphedScene, LaneGraph};
-use planagent_agent::planner::{DiluSettings, PlannerError, PlannerInput};
+use planagent_agent::planner::{AgentKeys, AgentSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
     DrivingAction, PromptError, QuestionPrompts, ReasoningError, RoundName,
 };
@@ -60,12 +69,10 @@ const TEXTS: [(&str, &str); 5] = [
 const ACTION_TOKENS: usize = 16;
 
 /// What it is made of.
-pub(crate) const PARTS: Parts<Dilu> = Parts {
-    name: NAME,
+const PARTS: Parts<Dilu> = Parts {
+    keys: KEYS,
     prompts,
-    memory: |settings| settings.dilu.memory.as_deref(),
     make: |settings, prompts| {
-        let settings = settings.dilu.clone();
         let memory: Memory<DiluItem> = open(settings.memory.as_deref(), NAME)?;
         Ok(Dilu {
             settings,
@@ -76,19 +83,61 @@ pub(crate) const PARTS: Parts<Dilu> = Parts {
     },
 };
 
+/// Its settings.
+const KEYS: AgentKeys = AgentKeys {
+    planner: NAME,
+    interval_s: 1.0,
+    max_tokens: 320,
+    examples: Some(3),
+    has_memory: true,
+};
+
+/// What its model reads about a scene.
+const DESCRIBED: &[DescribedText] = &[DescribedText {
+    key: "dilu",
+    name: "DiLu, description",
+    definition: "its published facts in our sentences: lanes; the ego's motion and set-points; the nearest object ahead and \
+                         behind on its lane and those beside; with ours, the light and the route. Numbers have two decimals",
+    published: None,
+    describe: dilu_text,
+}];
+
+/// The agent.
+pub(crate) fn agent() -> Agent {
+    Agent {
+        planner: asking(
+            "DiLu; the model gives an action, with remembered decisions",
+            PARTS,
+        ),
+        oracle: handed(
+            "oracle-dilu",
+            "DiLu with actions tried out ahead (a control)",
+            PARTS,
+            best_action,
+        ),
+        texts: DESCRIBED,
+        teaching: Some(Teaching::of(PARTS)),
+        filler: Some(MemoryFiller {
+            keys: KEYS,
+            about: "decisions of drives by the model, and its lesson of an accident",
+            source: MemorySource::Drives(left_items),
+        }),
+    }
+}
+
 /// The prompts of this agent.
 fn prompts() -> Result<QuestionPrompts, PromptError> {
     QuestionPrompts::open(PROMPTS, &TEXTS)
 }
 
 /// The description of a scene, with the set-points of an ego that goes on as it is.
-pub fn dilu_text(seen: GraphedScene<'_>) -> String {
+fn dilu_text(seen: GraphedScene<'_>) -> String {
     description(seen, SetPoints::at(seen))
 }
 
 /// DiLu.
 pub(crate) struct Dilu {
-    settings: DiluSettings,
+    settings: AgentSettings,
     prompts: Arc<QuestionPrompts>,
     recall: Arc<Recall>,
     set_points: Option<SetPoints>,
@@ -107,7 +156,7 @@ impl Dilu {
     fn question_texts(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
         let recalled = self
             .recall
-            .nearest(&observation.description, self.settings.examples);
+            .nearest(&observation.description, self.settings.examples(&KEYS));
         let examples: Vec<_> = recalled
             .into_iter()
             .map(|item| context! { description => &item.description, answer => &item.answer })
@@ -159,7 +208,7 @@ impl ChatAgent for Dilu {
     type Plan = SetPoints;
 
     fn interval_s(&self) -> f64 {
-        self.settings.interval_s
+        self.settings.interval_s(&KEYS)
     }
 
     fn reset(&mut self) {
@@ -191,7 +240,7 @@ impl ChatAgent for Dilu {
             round: RoundName::Action,
             prompt,
             constraint: grammar(&observation.offered),
-            max_tokens: self.settings.max_tokens,
+            max_tokens: self.settings.max_tokens(&KEYS),
         };
         let Some(text) = chat.ask(asked)? else {
             return Ok(Reply::none());

@@ -1,7 +1,7 @@
 //! The most similar items of a memory. Descriptions are compared as bags of words, so that no
 //! network is needed: a change from the original, which embeds them by OpenAI's ada-002.
 
-use crate::memory::DiluItem;
+use super::item::DiluItem;
 use std::collections::BTreeMap;
 
 /// Features of a description.

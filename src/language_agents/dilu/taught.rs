@@ -1,8 +1,8 @@
 //! The answer of DiLu's teacher: what of the scene decides, and the action that a search chose.
 
+use super::item::DELIMITER;
+use super::oracle;
 use super::{Dilu, Observation};
-use crate::memory::DELIMITER;
-use crate::oracle;
 use crate::teaching::{QuestionTexts, Taught};
 use planagent_agent::environment::{CenterlineName, GraphedScene};
 use planagent_agent::reasoning::{DrivingAction, PromptError};

@@ -8,14 +8,17 @@ mod taught;
 
 use crate::agent::{ChatAgent, Parts, Reply};
 use crate::chat::{Asked, Chat};
-use crate::teaching::QuestionTexts;
+use crate::described::DescribedText;
+use crate::made::{Agent, asking, handed};
+use crate::oracle::best_waypoints;
+use crate::teaching::{QuestionTexts, Teaching};
 use crate::waypoints::{Motion, WaypointTrack, read_waypoints};
 use grammar::answer;
 pub(crate) use grammar::{action, reasons};
 use minijinja::context;
 use planagent_agent::environment::coordinates::{GptDriverText, seen_objects};
 use planagent_agent::environment::{GraphedScene, LaneGraph};
-use planagent_agent::planner::{GptDriverSettings, PlannerError, PlannerInput};
+use planagent_agent::planner::{AgentKeys, AgentSettings, PlannerError, PlannerInput};
 use planagent_agent::reasoning::{
     LISTED_WAYPOINTS, PromptError, QuestionPrompts, ReasoningError, RoundName, WaypointList,
 };
@@ -38,18 +41,61 @@ const TEXTS: [(&str, &str); 2] = [
 const NAMED_OBJECTS: usize = 12;
 
 /// What it is made of.
-pub(crate) const PARTS: Parts<GptDriver> = Parts {
-    name: "gpt-driver",
+const PARTS: Parts<GptDriver> = Parts {
+    keys: KEYS,
     prompts,
-    memory: |_| None,
     make: |settings, prompts| {
         Ok(GptDriver {
-            settings: settings.gpt_driver.clone(),
+            settings,
             prompts,
             track: WaypointTrack::default(),
         })
     },
 };
+
+/// Its settings.
+const KEYS: AgentKeys = AgentKeys {
+    planner: "gpt-driver",
+    interval_s: 1.0,
+    max_tokens: 256,
+    examples: None,
+    has_memory: false,
+};
+
+/// What its model reads about a scene. The paper does not say which part of its text it counts.
+const DESCRIBED: &[DescribedText] = &[
+    DescribedText {
+        key: "gpt_driver",
+        name: "GPT-Driver, whole user message",
+        definition: "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
+                     ego's motion in six lines; four past positions; the goal. Coordinates have two decimals",
+        published: Some(448.66),
+        describe: |seen| GptDriverText::from_scene(seen.scene, seen.graph).whole(),
+    },
+    DescribedText {
+        key: "gpt_driver_objects",
+        name: "GPT-Driver, objects alone",
+        definition: "only the objects",
+        published: None,
+        describe: |seen| GptDriverText::from_scene(seen.scene, seen.graph).objects,
+    },
+];
+
+/// The agent.
+pub(crate) fn agent() -> Agent {
+    Agent {
+        planner: asking("GPT-Driver; the model gives waypoints", PARTS),
+        oracle: handed(
+            "oracle-gpt-driver",
+            "GPT-Driver with waypoints of codes tried out ahead (a control)",
+            PARTS,
+            best_waypoints,
+        ),
+        texts: DESCRIBED,
+        teaching: Some(Teaching::of(PARTS)),
+        filler: None,
+    }
+}
 
 /// The prompts of this agent.
 fn prompts() -> Result<QuestionPrompts, PromptError> {
@@ -58,7 +104,7 @@ fn prompts() -> Result<QuestionPrompts, PromptError> {
 
 /// GPT-Driver.
 pub(crate) struct GptDriver {
-    settings: GptDriverSettings,
+    settings: AgentSettings,
     prompts: Arc<QuestionPrompts>,
     track: WaypointTrack,
 }
@@ -115,7 +161,7 @@ impl ChatAgent for GptDriver {
     type Plan = Trajectory;
 
     fn interval_s(&self) -> f64 {
-        self.settings.interval_s
+        self.settings.interval_s(&KEYS)
     }
 
     fn reset(&mut self) {
@@ -145,7 +191,7 @@ impl ChatAgent for GptDriver {
             round: RoundName::Waypoints,
             prompt,
             constraint: answer(&observation.objects, observation.motion),
-            max_tokens: self.settings.max_tokens,
+            max_tokens: self.settings.max_tokens(&KEYS),
         };
         Ok(match chat.ask(asked)? {
             Some(text) => read_waypoints(&text, observation.motion, chat),

@@ -1,5 +1,6 @@
 //! The configuration of a run.
 
+use super::agent_tables;
 use super::of_run::OfRun;
 use super::tables::{collect_changes, leaves, line_of, overlay};
 use crate::report::RenamedSetting;
@@ -41,7 +42,10 @@ pub struct Config {
     #[serde(skip_serializing_if = "LearnedSettings::is_empty")]
     pub learned: LearnedSettings,
     /// The other language agents of the paper's comparison.
-    #[serde(skip_serializing_if = "LanguageAgentSettings::is_default")]
+    #[serde(
+        with = "agent_tables",
+        skip_serializing_if = "agent_tables::is_default"
+    )]
     pub language_agents: LanguageAgentSettings,
     /// What the folder of a run decides alone, for a configuration that comes from one. No file
     /// sets it.
@@ -269,17 +273,19 @@ impl Config {
 
     /// Refuses intervals and limits of the other language agents that make no sense.
     fn check_language_agents(&self) -> Result<(), String> {
-        for agent in self.language_agents.agents() {
-            let key = |key: &str| format!("language_agents.{}.{key}", agent.name);
-            if !(STEP_S..=MAX_INTERVAL_S).contains(&agent.interval_s) {
+        for (agent, set) in self.language_agents.set() {
+            let key = |key: &str| format!("language_agents.{agent}.{key}");
+            // Defaults make sense.
+            let interval_s = set.interval_s.unwrap_or(STEP_S);
+            if !(STEP_S..=MAX_INTERVAL_S).contains(&interval_s) {
                 return Err(format!(
                     "{} is {:e}; it must lie in {STEP_S} to {MAX_INTERVAL_S}",
                     key("interval_s"),
-                    agent.interval_s
+                    interval_s
                 ));
             }
-            check_whole_iterations(&key("interval_s"), agent.interval_s)?;
-            if agent.max_tokens == 0 {
+            check_whole_iterations(&key("interval_s"), interval_s)?;
+            if set.max_tokens == Some(0) {
                 return Err(format!("{} is 0; it must be at least 1", key("max_tokens")));
             }
         }

@@ -2,6 +2,7 @@
 //! each simulation as it ends, resumes after an interruption, and writes its results once all
 //! simulations are completed. Studies are runs on the same scenarios whose scores are compared.
 
+mod agent_tables;
 pub mod commands;
 mod config;
 mod error;
@@ -26,6 +27,7 @@ pub mod simulate;
 mod tables;
 mod watch;
 
+pub use agent_tables::{agent_tables, language_agents};
 pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
 pub use error::{MergeError, RunnerError};

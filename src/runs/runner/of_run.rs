@@ -90,10 +90,10 @@ impl OfRun {
     /// Refuses memories that only the run names; `memories` are keys with their files.
     pub(super) fn check_memories<'a>(
         &self,
-        memories: impl Iterator<Item = (&'a str, &'a str)>,
+        memories: impl Iterator<Item = (String, &'a str)>,
     ) -> Result<(), NotNamed> {
-        let unnamed: Vec<(&str, &str)> = memories
-            .filter(|(key, _)| self.unnamed.contains(*key))
+        let unnamed: Vec<(String, &str)> = memories
+            .filter(|(key, _)| self.unnamed.contains(key))
             .collect();
         let Some((_, first)) = unnamed.first() else {
             return Ok(());
@@ -113,7 +113,7 @@ impl OfRun {
     pub(super) fn options<'a>(
         model: Option<&str>,
         checkpoints: impl Iterator<Item = (&'a str, &'a str)>,
-        memories: impl Iterator<Item = (&'a str, &'a str)>,
+        memories: impl Iterator<Item = (String, &'a str)>,
         registry: &ModelRegistry,
     ) -> Vec<[String; 2]> {
         model
@@ -121,7 +121,7 @@ impl OfRun {
             .map(of_model)
             .into_iter()
             .chain(checkpoints.map(|(planner, file)| of_checkpoint(planner, file)))
-            .chain(memories.map(|(key, file)| of_memory(key, file)))
+            .chain(memories.map(|(key, file)| of_memory(&key, file)))
             .collect()
     }
 
@@ -203,7 +203,7 @@ mod tests {
     fn a_memory_that_only_the_run_names_must_be_named_again() {
         let key = "language_agents.dilu.memory";
         let mut of_run = OfRun::new(Path::new("a run"), [key.to_owned()]);
-        let memories = || [(key, "x/dilu.json")].into_iter();
+        let memories = || [(key.to_owned(), "x/dilu.json")].into_iter();
         let error = of_run.check_memories(memories()).unwrap_err();
         let line = format!("planagent simulate --resume 'a run' --set {key}=x/dilu.json");
         assert!(error.to_string().contains(&line), "{error}");

@@ -159,7 +159,7 @@ impl Config {
         });
         let memories = config.language_agents.memories();
         let keys = checkpoints
-            .chain(memories.map(|(key, ..)| key.to_owned()))
+            .chain(memories.map(|(key, ..)| key))
             .chain([MODEL.to_owned()]);
         config.of_run = OfRun::new(folder, keys.collect::<Vec<_>>());
         Ok(config)
@@ -217,10 +217,10 @@ fn check_checkpoints(planners: &[PlannerName], config: &Config) -> Result<(), Ru
 fn memories<'a>(
     planners: &'a [PlannerName],
     config: &'a Config,
-) -> impl Iterator<Item = (&'a str, &'a str)> {
+) -> impl Iterator<Item = (String, &'a str)> {
     let is_simulated = |name: &str| planners.iter().any(|planner| planner.as_str() == name);
     let set = config.language_agents.memories();
-    set.filter_map(move |(key, planner, file)| is_simulated(planner).then_some((key, file)))
+    set.filter_map(move |(key, planner, file)| is_simulated(&planner).then_some((key, file)))
 }
 
 /// The checkpoints of these planners.

@@ -9,7 +9,14 @@
 //! PDM-Closed's own best proposal; else PDM-Closed is executed. The emergency brake does not
 //! overrule a plan.
 
+mod drive;
+mod handed;
 mod waypoints;
+
+#[doc(hidden)]
+pub use drive::AssistDrive;
+#[doc(hidden)]
+pub use handed::HandedAnswers;
 
 use super::attempts::{AttemptLimits, Attempts, Question, Trial};
 use super::clock::Clock;
@@ -28,29 +35,33 @@ use crate::reasoning::{
 use crate::reflection::Judge;
 use planagent_mllm::{Mllm, milliseconds};
 use planagent_score::pdm::{
-    self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, ReferencePath, plan_tuned,
+    Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, ReferencePath, plan_tuned,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::geometry::Pose;
-use planagent_world::{EgoState, STEP_S, SceneView, Trajectory};
+use planagent_world::{EgoState, STEP_S, SceneView, Trajectory, TrajectoryError};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// LLM-ASSIST in one of its variants.
 pub struct LlmAssist {
     name: PlannerName,
-    variant: AssistVariant,
-    model: Arc<dyn Mllm>,
-    prompts: Arc<PromptSet>,
-    reasoning: ReasoningSettings,
+    source: AnswerSource,
     settings: PlanAgentSettings,
-    memory: PdmMemory,
+    drive: AssistDrive,
     /// The score of PDM-Closed's best proposal when the model was last to be asked.
     score: f64,
-    active: Option<Assisted>,
     /// When the active answer ends and the model may be asked again.
     clock: Clock,
     calls: Vec<PlanningCall>,
+}
+
+/// Where the answers come from.
+enum AnswerSource {
+    /// A model that is asked in a variant's form.
+    Model(AssistVariant, AskedModel),
+    /// What stands in a model's place.
+    Handed(HandedAnswers),
 }
 
 /// The model that is asked, and how.
@@ -72,33 +83,68 @@ pub enum Assisted {
     Parameters(PdmParameters),
 }
 
+impl Assisted {
+    /// What an answer stands for at the present state of the ego.
+    fn of(assistance: &Assistance, ego: &EgoState) -> Result<Self, TrajectoryError> {
+        Ok(match assistance {
+            Assistance::Waypoints(list) => Self::Plan(waypoints::through(ego, list)?),
+            Assistance::Parameters(parameters) => Self::Parameters(tuned(*parameters)),
+        })
+    }
+}
+
 impl LlmAssist {
     /// A planner that asks this model. τ is the gate of the settings, else their λ. A planning call
     /// lasts no simulated time.
     pub fn new(
         name: PlannerName,
         variant: AssistVariant,
-        AskedModel {
-            model,
-            prompts,
-            reasoning,
-        }: AskedModel,
+        asked: AskedModel,
         settings: PlanAgentSettings,
     ) -> Self {
-        let (memory, clock, calls) = (PdmMemory::default(), Clock::default(), Vec::new());
+        Self::answered_by(name, AnswerSource::Model(variant, asked), settings)
+    }
+
+    /// The same with answers that are handed over before a planning call, the first attempt's first.
+    #[doc(hidden)]
+    pub fn handed(name: PlannerName, answers: HandedAnswers, settings: PlanAgentSettings) -> Self {
+        Self::answered_by(name, AnswerSource::Handed(answers), settings)
+    }
+
+    fn answered_by(name: PlannerName, source: AnswerSource, settings: PlanAgentSettings) -> Self {
         Self {
             name,
-            variant,
-            model,
-            prompts,
-            reasoning,
+            source,
             settings,
-            memory,
+            drive: AssistDrive::default(),
             score: 0.0,
-            active: None,
-            clock,
-            calls,
+            clock: Clock::default(),
+            calls: Vec::new(),
         }
+    }
+
+    /// What drives, for what stands in the model's place.
+    #[doc(hidden)]
+    pub fn drive(&self) -> &AssistDrive {
+        &self.drive
+    }
+
+    /// Time for which an answer is executed, seconds.
+    #[doc(hidden)]
+    pub fn answer_s(&self) -> f64 {
+        self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64)
+    }
+
+    /// Whether the next step, in this scene, begins with a planning call.
+    #[doc(hidden)]
+    pub fn begins_with_call(&self, scene: &SceneView<'_>) -> bool {
+        let mut clock = self.clock.clone();
+        clock.step(scene.ego.time_us);
+        let scores_little = || {
+            let rules = self.drive.clone().rules(scene);
+            rules.is_ok_and(|rules| rules.scores[rules.best].total < self.tau())
+        };
+        clock.is_due(self.answer_s()) && scores_little()
     }
 
     /// τ.
@@ -122,7 +168,11 @@ impl LanguageAgent for LlmAssist {
         &mut self,
         GraphedScene { scene, graph }: GraphedScene<'_>,
     ) -> Result<AssistQuestion, PlannerError> {
-        let scene_text = match self.prompts.forms().scene_text {
+        let form = match &self.source {
+            AnswerSource::Model(_, asked) => asked.prompts.forms().scene_text,
+            AnswerSource::Handed(_) => TextForm::Paper,
+        };
+        let scene_text = match form {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
             form @ (TextForm::Compact | TextForm::Compact2) => {
                 text::write(&Description::from_graph(graph), form)
@@ -139,7 +189,10 @@ impl LanguageAgent for LlmAssist {
         Shown {
             image: None,
             text: Some(question.scene_text.clone()),
-            forms: Some(*self.prompts.forms()),
+            forms: match &self.source {
+                AnswerSource::Model(_, asked) => Some(*asked.prompts.forms()),
+                AnswerSource::Handed(_) => None,
+            },
         }
     }
 
@@ -151,19 +204,22 @@ impl LanguageAgent for LlmAssist {
         CallTerms { seed, deadline }: CallTerms,
     ) -> Result<Attempts<Assisted>, PlannerError> {
         let tau = self.tau();
-        let reasoning = AssistReasoning::open(
-            self.variant,
-            self.model.as_ref(),
-            self.prompts.as_ref(),
-            &self.reasoning,
-            question,
-            seed,
-            deadline,
-        )?;
+        let answers = match &self.source {
+            AnswerSource::Model(variant, asked) => Answers::Asked(Box::new(AssistReasoning::open(
+                *variant,
+                asked.model.as_ref(),
+                asked.prompts.as_ref(),
+                &asked.reasoning,
+                question,
+                seed,
+                deadline,
+            )?)),
+            AnswerSource::Handed(handed) => Answers::Handed(handed),
+        };
         let PdmMemory {
             reference_path,
             collided,
-        } = &mut self.memory;
+        } = &mut self.drive.memory;
         let path = reference_path
             .as_ref()
             .expect("PDM-Closed plans along it before the model is asked");
@@ -178,7 +234,7 @@ impl LanguageAgent for LlmAssist {
             compares: false,
         };
         let mut asked = AssistCall {
-            reasoning,
+            answers,
             path,
             scene,
             collided,
@@ -224,7 +280,7 @@ impl Planner for LlmAssist {
         &mut self,
         initialization: &PlannerInitialization<'_>,
     ) -> Result<(), PlannerError> {
-        (self.memory, self.active, self.clock) = (PdmMemory::default(), None, Clock::default());
+        (self.drive, self.clock) = (AssistDrive::default(), Clock::default());
         self.calls.clear();
         if initialization.route.lanes(initialization.map).is_empty() {
             Err(PlannerError::EmptyRoute)
@@ -235,34 +291,22 @@ impl Planner for LlmAssist {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
-        let rules = pdm::plan(&mut self.memory, scene)?;
+        let rules = self.drive.rules(scene)?;
         self.clock.step(scene.ego.time_us);
-        if self
-            .clock
-            .is_due(self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64))
-        {
-            (self.active, self.score) = (None, rules.scores[rules.best].total);
+        if self.clock.is_due(self.answer_s()) {
+            self.drive.end();
+            self.score = rules.scores[rules.best].total;
             if self.score < self.tau() {
                 // Before the call, which counts as made also without a lane graph: else it would be
                 // tried at every step.
                 self.clock.set_called();
                 let at_s = self.clock.elapsed_s(scene.ego.time_us);
                 let (call, active) = planning_call(self, input, at_s, Instant::now())?;
-                self.active = active;
+                self.drive.active = active;
                 self.calls.push(call);
             }
         }
-        match (&self.active, &mut self.memory) {
-            (Some(Assisted::Plan(trajectory)), _) => Ok(trajectory.clone()),
-            (
-                Some(Assisted::Parameters(parameters)),
-                PdmMemory {
-                    reference_path: Some(path),
-                    collided,
-                },
-            ) => Ok(plan_tuned(path, scene, collided, *parameters)?.trajectory),
-            _ => Ok(rules.trajectory),
-        }
+        self.drive.trajectory(scene, rules)
     }
 
     fn calls(&self) -> &[PlanningCall] {
@@ -274,9 +318,15 @@ impl Planner for LlmAssist {
     }
 }
 
+/// Where the answers of a planning call come from.
+enum Answers<'a> {
+    Asked(Box<AssistReasoning<'a>>),
+    Handed(&'a HandedAnswers),
+}
+
 /// The answers of a planning call, tried out along PDM-Closed's reference path.
 struct AssistCall<'a> {
-    reasoning: AssistReasoning<'a>,
+    answers: Answers<'a>,
     path: &'a ReferencePath,
     scene: &'a SceneView<'a>,
     collided: &'a mut Collided,
@@ -292,27 +342,29 @@ impl Question for AssistCall<'_> {
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<Option<ReasoningTrace<Assistance>>, ReasoningError> {
-        self.reasoning.think(feedback).map(Some)
+        match &mut self.answers {
+            Answers::Asked(reasoning) => reasoning.think(feedback).map(Some),
+            Answers::Handed(handed) => Ok(handed.next().map(ReasoningTrace::without_rounds)),
+        }
     }
 
     fn try_out(&mut self, assistance: Assistance) -> Result<Option<Trial<Assisted>>, PlannerError> {
         let ego = self.scene.ego;
-        let (plan, path, states): (Assisted, Vec<Pose>, Vec<EgoState>) = match assistance {
-            Assistance::Waypoints(waypoints) => {
-                let trajectory = waypoints::through(ego, &waypoints)?;
+        let plan = Assisted::of(&assistance, ego)?;
+        let (path, states): (Vec<Pose>, Vec<EgoState>) = match &plan {
+            Assisted::Plan(trajectory) => {
                 let states = trajectory.states().iter().take(PROPOSAL_STEPS + 1);
                 let path: Vec<Pose> = states.map(|state| state.rear_axle).collect();
                 let states = simulate_proposal(ego, &path, JerkPenalty::PdmClosed);
-                (Assisted::Plan(trajectory), path, states)
+                (path, states)
             }
-            Assistance::Parameters(parameters) => {
-                let parameters = tuned(parameters);
-                let mut plan = plan_tuned(self.path, self.scene, self.collided, parameters)?;
+            Assisted::Parameters(parameters) => {
+                let mut plan = plan_tuned(self.path, self.scene, self.collided, *parameters)?;
                 let (best, states) = (
                     plan.proposals.swap_remove(plan.best),
                     plan.simulated.swap_remove(plan.best),
                 );
-                (Assisted::Parameters(parameters), best.poses, states)
+                (best.poses, states)
             }
         };
         let reflection = Some(self.judge.assess(states, self.tau)?);
