@@ -10,6 +10,7 @@ use crate::reflection::{IdmPlan, Judge};
 
 /// What a plan that leaves the ego's lane must score more than one that passes the obstacle within
 /// it.
+/// Why: docs/decisions/135-within-the-lane.md.
 const MIN_GAIN: f64 = 0.02;
 
 /// The planner codes of a planning call, and Reflection on their plans.

@@ -2,7 +2,7 @@
 
 use super::label_weights::DecisionWeights;
 use super::lessons::Lesson;
-use super::reward::refusal;
+use super::refusal::refusal;
 use planagent_agent::environment::facts::{Ahead, Light, Question};
 use planagent_agent::environment::text::{self, Description, TextForm};
 use planagent_agent::environment::{CenterlineName, LaneGraph, SceneFacts};

@@ -10,6 +10,7 @@ mod label;
 mod label_weights;
 mod lessons;
 mod messages;
+mod refusal;
 mod reward;
 mod scenes;
 mod shard;

@@ -1,5 +1,6 @@
 //! The reward of answers at states: what the search or Reflection makes of a model's planner code.
 
+use super::refusal::refusal;
 use super::state_name::{OpenState, StateError, StateName};
 use planagent_agent::reasoning::{Names, ParseError, Parsed, PlannerCode, parse};
 use planagent_agent::reflection::{ReflectionReport, SubScores, Verdict};
@@ -231,27 +232,6 @@ fn errors_in_words(errors: &[ParseError]) -> String {
     }
     let errors: Vec<String> = errors.iter().map(ToString::to_string).collect();
     errors.join("; ")
-}
-
-/// Why Reflection refuses a plan: its score, and the parts that are not whole; empty if it accepts
-/// it.
-pub(super) fn refusal(report: &ReflectionReport) -> String {
-    if report.verdict == Verdict::Execute {
-        return String::new();
-    }
-    let parts: Vec<String> = report
-        .parts
-        .named()
-        .into_iter()
-        .filter(|(_, value)| *value < 1.0)
-        .map(|(name, value)| format!("{name} {value:.2}"))
-        .collect();
-    format!(
-        "Reflection scores the plan {:.2}, and {} is needed: {}",
-        report.score,
-        report.threshold,
-        parts.join(", ")
-    )
 }
 
 #[cfg(test)]

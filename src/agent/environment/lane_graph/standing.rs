@@ -44,6 +44,7 @@ pub(crate) const MAX_SHIFT: f64 = 1.0;
 const STRAIGHT: f64 = 1e-3;
 /// Space between the ego's rear bumper and what it has passed, from which on it is past that,
 /// meters.
+/// Why: docs/decisions/135-within-the-lane.md.
 pub(super) const CLEARANCE_BEHIND: f64 = 1.0;
 /// Steps in which the edge of a lane is looked for, and how far from its middle at most, meters.
 const EDGE_STEP: f64 = 0.1;
