@@ -98,11 +98,25 @@ pub trait Conversation: Send {
         Err(MllmError::Request { problem })
     }
 
+    /// Adds images that the next prompt begins with, behind those that it has already. A chat may
+    /// have several, in one turn and in many. They are resized as the model's preprocessor says.
+    ///
+    /// # Errors
+    /// When the model takes no such image, or not so many, or when the backend takes none but that
+    /// of the prefix. Then none is added.
+    fn show(&mut self, images: &[Arc<RgbImage>]) -> Result<(), MllmError> {
+        let problem = format!(
+            "{} more pictures were shown, but this model takes that of the prompt prefix alone",
+            images.len()
+        );
+        Err(MllmError::Request { problem })
+    }
+
     /// The current point of the conversation.
     fn mark(&self) -> Mark;
 
-    /// Drops the turns after a mark; what was computed before it stays cached. A mark after the
-    /// current point changes nothing.
+    /// Drops the turns, and the images that were shown, after a mark; what was computed before it
+    /// stays cached. A mark after the current point changes nothing.
     fn rewind(&mut self, mark: Mark);
 }
 
@@ -331,7 +345,12 @@ pub enum FinishReason {
 
 /// A point of a conversation, from [`Conversation::mark`]. The default is the beginning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub struct Mark(pub(super) usize);
+pub struct Mark {
+    /// Number of turns.
+    pub(super) turns: usize,
+    /// Number of images that were shown behind that of the prefix.
+    pub(super) images: usize,
+}
 
 /// Identity and size of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -10,9 +10,9 @@
 //! 5. What are its tensors called in safetensors and GGUF files (`canonical_name` and `gguf` of
 //!    [`Family`])?
 //!
-//! An image has one [`ImageLayout`], which its width and height decide. The layout says how many
-//! tokens stand for the image, and which grid it is cut into. The chat format writes it, with
-//! separators between its parts. The positions follow from it.
+//! An image has one [`ImageLayout`], which its width and height decide, and whether its chat has
+//! others. The layout says how many tokens stand for the image, and which grid it is cut into. The
+//! chat format writes it, with separators between its parts. The positions follow from it.
 
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{LanguageModel, Position};
@@ -100,6 +100,15 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// When the model takes no such image, or none at all.
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError>;
 
+    /// How one of several images of a chat lies in it. An image with another layout than alone is
+    /// prepared by [`Self::preprocess_of_several`].
+    ///
+    /// # Errors
+    /// As [`Self::image_layout`], and when a chat of the model has one image at most.
+    fn layout_of_several(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
+        self.image_layout(width, height)
+    }
+
     /// How the image that is drawn for the model lies in a chat; none for a model that reads text
     /// alone.
     fn drawn_layout(&self) -> Result<Option<ImageLayout>, MllmError> {
@@ -131,7 +140,15 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// Cuts and scales an image to the tiles that the vision tower takes.
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError>;
 
-    /// Encodes tiles to input rows of the decoder.
+    /// As [`Self::preprocess`], for one of several images of a chat.
+    ///
+    /// # Errors
+    /// When the image cannot be used.
+    fn preprocess_of_several(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        self.preprocess(image)
+    }
+
+    /// Encodes the tiles of an image to input rows of the decoder.
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures>;
 
     /// How chats are written, from the model's files.
@@ -141,9 +158,9 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
         tokenizer: &ChatTokenizer,
     ) -> Result<Box<dyn ChatFormat>, MllmError>;
 
-    /// Where the tokens `tokens` of a chat with this image stand.
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        let _ = image;
+    /// Where the tokens `tokens` of a chat with these images stand, which are in their order.
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        let _ = images;
         Positions::plain(tokens.start as u32..tokens.end as u32)
     }
 
@@ -152,7 +169,7 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
         false
     }
 
-    /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
+    /// Longest chat, tokens, whose images become `image_tokens` tokens.
     fn context(&self, image_tokens: usize) -> usize {
         let _ = image_tokens;
         self.info().positions
@@ -161,9 +178,19 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// The language model.
     fn decoder(&self) -> &dyn LanguageModel;
 
-    /// Encodes an image to input rows of the decoder.
+    /// Encodes the image of a chat to input rows of the decoder.
     fn encode_image(&self, image: &RgbImage) -> Result<ImageFeatures, MllmError> {
         let pixels = self.preprocess(image)?;
+        let _threads = Awake::begin();
+        Ok(self.encode(&pixels)?)
+    }
+
+    /// As [`Self::encode_image`], for one of several images of a chat.
+    ///
+    /// # Errors
+    /// As [`Self::preprocess_of_several`], and when the tower fails.
+    fn encode_of_several(&self, image: &RgbImage) -> Result<ImageFeatures, MllmError> {
+        let pixels = self.preprocess_of_several(image)?;
         let _threads = Awake::begin();
         Ok(self.encode(&pixels)?)
     }
@@ -182,6 +209,13 @@ pub struct TowerCost {
 pub(crate) fn no_picture() -> MllmError {
     MllmError::Image {
         problem: "this model reads text alone, and takes no picture".into(),
+    }
+}
+
+/// The error of a model whose chats have one picture, with the first prompt.
+pub(crate) fn one_picture() -> MllmError {
+    MllmError::Image {
+        problem: "chats of this model have one picture, with the first prompt".into(),
     }
 }
 
@@ -279,32 +313,85 @@ pub struct PlacedImage {
 }
 
 impl PlacedImage {
+    /// The images of a chat with these layouts. Their tokens follow one another in `ids`, where
+    /// `image_token` stands for each; those that are not in `ids` yet are left out.
+    pub fn all(
+        ids: impl IntoIterator<Item = u32>,
+        image_token: u32,
+        layouts: &[ImageLayout],
+    ) -> Vec<Self> {
+        let mut layouts = layouts.iter().filter(|layout| layout.tokens > 0);
+        let (mut placed, mut left) = (Vec::new(), 0);
+        for (first, _) in (0..).zip(ids).filter(|(_, id)| *id == image_token) {
+            if left == 0 {
+                let Some(layout) = layouts.next().copied() else {
+                    break;
+                };
+                placed.push(Self { first, layout });
+                left = layout.tokens;
+            }
+            left -= 1;
+        }
+        placed
+    }
+
     /// The tokens of an image whose tokens follow one another.
     pub fn tokens(&self) -> Range<usize> {
         self.first..self.first + self.layout.tokens
     }
 }
 
-/// An image as the decoder takes it.
+/// Images as the decoder takes them.
 #[derive(Debug, Clone)]
 pub struct ImageFeatures {
-    /// Input rows: (image tokens, hidden).
+    /// Input rows: (tokens of the images, hidden).
     pub rows: Tensor,
-    /// Added to the hidden states of the image's tokens after the first layers, one for each:
-    /// (image tokens, hidden). Most families have none (`DeepStack`: Meng et al.,
+    /// Added to the hidden states of the images' tokens after the first layers, one for each:
+    /// (tokens of the images, hidden). Most families have none (`DeepStack`: Meng et al.,
     /// arXiv:2406.04334).
     pub deep: Vec<Tensor>,
-    pub layout: ImageLayout,
+    /// The layout of each image, in the order of their rows.
+    pub layouts: Vec<ImageLayout>,
 }
 
 impl ImageFeatures {
     /// The features of an image in one piece.
     pub fn whole(rows: Tensor) -> candle_core::Result<Self> {
         Ok(Self {
-            layout: ImageLayout::whole(rows.dim(0)?),
+            layouts: vec![ImageLayout::whole(rows.dim(0)?)],
             deep: Vec::new(),
             rows,
         })
+    }
+
+    /// The features of images behind one another; none without one.
+    pub(crate) fn joined(parts: &[Self]) -> candle_core::Result<Option<Self>> {
+        let [first, others @ ..] = parts else {
+            return Ok(None);
+        };
+        if others.is_empty() {
+            return Ok(Some(first.clone()));
+        }
+        let rows: Vec<&Tensor> = parts.iter().map(|part| &part.rows).collect();
+        let deep = (0..first.deep.len())
+            .map(|layer| {
+                let layer: Vec<&Tensor> = parts
+                    .iter()
+                    .filter_map(|part| part.deep.get(layer))
+                    .collect();
+                Tensor::cat(&layer, 0)
+            })
+            .collect::<candle_core::Result<_>>()?;
+        Ok(Some(Self {
+            rows: Tensor::cat(&rows, 0)?,
+            deep,
+            layouts: parts.iter().flat_map(|part| part.layouts.clone()).collect(),
+        }))
+    }
+
+    /// Number of tokens that stand for the images.
+    pub fn tokens(&self) -> usize {
+        self.layouts.iter().map(|layout| layout.tokens).sum()
     }
 }
 
@@ -313,8 +400,9 @@ impl ImageFeatures {
 pub struct Positions {
     /// The position of each token for its rotary embedding.
     pub rotary: Vec<Position>,
-    /// Which of the tokens, by index, layers treat as parts of an image.
-    pub vision: Range<usize>,
+    /// Which of the tokens, by index, layers treat as parts of an image: a range for each image that
+    /// has such tokens, in their order.
+    pub vision: Vec<Range<usize>>,
 }
 
 impl Positions {
@@ -325,14 +413,25 @@ impl Positions {
                 .into_iter()
                 .map(|position| [position; 3])
                 .collect(),
-            vision: 0..0,
+            vision: Vec::new(),
+        }
+    }
+
+    /// As [`Self::plain`], of the tokens `tokens`, where layers tell those of images from text.
+    pub(crate) fn with_images(tokens: Range<usize>, images: &[PlacedImage]) -> Self {
+        let within = |index: usize| index.clamp(tokens.start, tokens.end) - tokens.start;
+        let seen = images.iter().map(PlacedImage::tokens);
+        let seen = seen.map(|image| within(image.start)..within(image.end));
+        Self {
+            vision: seen.filter(|image| !image.is_empty()).collect(),
+            ..Self::plain(tokens.start as u32..tokens.end as u32)
         }
     }
 }
 
 /// How a family writes a chat as tokens.
 pub trait ChatFormat: Debug + Send + Sync {
-    /// Token ids of a chat, each token of the image as the model's placeholder
+    /// Token ids of a chat, each token of an image as the model's placeholder
     /// ([`ModelInfo::image_token`]).
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError>;
 
@@ -352,10 +451,25 @@ pub trait ChatFormat: Debug + Send + Sync {
 pub struct Chat<'a> {
     /// The system prompt; empty for none.
     pub system: &'a str,
-    /// The image that the first prompt begins with; none without one.
-    pub image: Option<ImageLayout>,
+    /// The images that prompts begin with, in the order of the turns.
+    pub images: &'a [ChatImage],
     pub turns: &'a [Turn],
     pub prompt: &'a str,
+}
+
+/// An image that a prompt of a chat begins with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ChatImage {
+    /// The turn of the prompt, from 0.
+    pub turn: usize,
+    pub layout: ImageLayout,
+}
+
+impl ChatImage {
+    /// An image that the first prompt begins with.
+    pub(crate) fn first(layout: ImageLayout) -> Self {
+        Self { turn: 0, layout }
+    }
 }
 
 /// Sizes and names of a model.
@@ -367,7 +481,7 @@ pub struct ModelInfo {
     /// a model without a vision tower it is none.
     pub image_token: u32,
     /// Whether the image stands before the system prompt, so that no chat shares a prefix with
-    /// another.
+    /// another. Such a chat has one image at most, which comes with the first prompt.
     pub image_first: bool,
     /// Side of the square that the vision tower takes, or that a tower for any size is shown by
     /// default, pixels; none for a model that reads text alone.

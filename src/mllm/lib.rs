@@ -81,8 +81,8 @@ pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model, small_files};
 pub use families::{Architecture, Families};
 pub use family::{
-    About, Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageRange, ImageSettings,
-    ModelInfo, OpenedModel, PlacedImage, Positions, Tiles, VisionLanguageModel,
+    About, Chat, ChatFormat, ChatImage, Family, ImageFeatures, ImageLayout, ImageRange,
+    ImageSettings, ModelInfo, OpenedModel, PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
 pub use gguf::{GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};

@@ -2,10 +2,10 @@
 
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
-use crate::family::{Chat, ChatFormat, ImageLayout};
+use crate::family::{Chat, ChatFormat, ChatImage, ImageLayout};
 use crate::text::{ChatTemplate, ChatTokenizer};
 
-/// A chat template, which writes one placeholder for the image.
+/// A chat template, which writes one placeholder for an image.
 #[derive(Debug)]
 pub(crate) struct TemplateFormat {
     template: ChatTemplate,
@@ -71,24 +71,25 @@ impl TemplateFormat {
         }
     }
 
-    /// The ids of a rendered chat whose placeholder is one token for each token of the image.
+    /// The ids of a rendered chat whose placeholders are one token for each token of their image.
     fn repeated(
         &self,
         tokenizer: &ChatTokenizer,
         rendered: &str,
-        tokens: Option<usize>,
+        images: &[ChatImage],
     ) -> Result<Vec<u32>, MllmError> {
         let mut found = 0;
         let mut ids = Vec::new();
         for id in tokenizer.encode_chat(rendered)? {
             if id == self.image_token {
+                let tokens = images.get(found).map_or(0, |image| image.layout.tokens);
                 found += 1;
-                ids.extend(std::iter::repeat_n(id, tokens.unwrap_or(0)));
+                ids.extend(std::iter::repeat_n(id, tokens));
             } else {
                 ids.push(id);
             }
         }
-        let expected = usize::from(tokens.is_some());
+        let expected = images.len();
         if found == expected {
             Ok(ids)
         } else {
@@ -96,21 +97,27 @@ impl TemplateFormat {
         }
     }
 
-    /// The ids of a rendered chat whose placeholder becomes `image`. Separators may form one token
+    /// The ids of a rendered chat whose placeholders become texts. Separators may form one token
     /// with the text around them, so the whole text is split at once.
     fn written(
         &self,
         tokenizer: &ChatTokenizer,
         rendered: &str,
-        image: Option<(String, usize)>,
+        images: &[ChatImage],
+        text_of: impl Fn(ImageLayout) -> String,
     ) -> Result<Vec<u32>, MllmError> {
         let found = rendered.matches(&self.mark).count();
-        let expected = usize::from(image.is_some());
+        let expected = images.len();
         if found != expected {
             return Err(MllmError::ImagePlaceholder { expected, found });
         }
-        let (text, tokens) = image.unwrap_or_default();
-        let ids = tokenizer.encode_chat(&rendered.replace(&self.mark, &text))?;
+        let mut texts = images.iter().map(|image| text_of(image.layout));
+        let parts = rendered.split(&self.mark).map(str::to_owned);
+        let whole: String = parts
+            .flat_map(|part| [part, texts.next().unwrap_or_default()])
+            .collect();
+        let ids = tokenizer.encode_chat(&whole)?;
+        let tokens = images.iter().map(|image| image.layout.tokens).sum();
         let found = ids.iter().filter(|id| **id == self.image_token).count();
         if found == tokens {
             Ok(ids)
@@ -129,24 +136,19 @@ impl ChatFormat for TemplateFormat {
     }
 
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
-        let rendered =
-            self.template
-                .render(chat.system, chat.image.is_some(), chat.turns, chat.prompt)?;
+        let turns: Vec<usize> = chat.images.iter().map(|image| image.turn).collect();
+        let rendered = self
+            .template
+            .render(chat.system, &turns, chat.turns, chat.prompt)?;
         match self.image {
-            ImageText::Repeated => {
-                self.repeated(tokenizer, &rendered, chat.image.map(|image| image.tokens))
-            }
+            ImageText::Repeated => self.repeated(tokenizer, &rendered, chat.images),
             ImageText::Written(write) => {
-                let image = chat
-                    .image
-                    .map(|layout| (write(&self.placeholder, layout), layout.tokens));
-                self.written(tokenizer, &rendered, image)
+                let text_of = |layout| write(&self.placeholder, layout);
+                self.written(tokenizer, &rendered, chat.images, text_of)
             }
             ImageText::Tiled { write, tile } => {
-                let image = chat
-                    .image
-                    .map(|layout| (write(&self.placeholder, layout, tile), layout.tokens));
-                self.written(tokenizer, &rendered, image)
+                let text_of = |layout| write(&self.placeholder, layout, tile);
+                self.written(tokenizer, &rendered, chat.images, text_of)
             }
         }
     }

@@ -83,7 +83,7 @@ pub(crate) trait TileEncoder: Debug + Send + Sync {
         Ok(ImageFeatures {
             rows: self.encode_views(&tiles.pixels)?,
             deep: Vec::new(),
-            layout,
+            layouts: vec![layout],
         })
     }
 }

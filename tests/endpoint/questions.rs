@@ -5,13 +5,59 @@ use super::{ask, open, request, settings};
 use base64::Engine;
 use image::RgbImage;
 use planagent_mllm::{
-    Constraint, ConstraintUse, Endpoint, FinishReason, GrammarField, LimitField, Mllm, MllmError,
-    PromptPrefix, Request, Sampling, TokenCounts,
+    Constraint, ConstraintUse, Conversation, Endpoint, FinishReason, GrammarField, LimitField,
+    Mllm, MllmError, PromptPrefix, Request, Sampling, TokenCounts,
 };
 use serde_json::{Value, json};
 
 fn lanes() -> Constraint {
     Constraint::Choice(vec!["left".into(), "right".into()])
+}
+
+/// How many pictures each question of a request has.
+fn pictures(body: &Value) -> Vec<usize> {
+    let messages = body["messages"].as_array().unwrap().iter();
+    let asked = messages.filter(|message| message["role"] == "user");
+    asked
+        .map(|message| {
+            let parts = message["content"].as_array().map_or(&[][..], Vec::as_slice);
+            parts
+                .iter()
+                .filter(|part| part["type"] == "image_url")
+                .count()
+        })
+        .collect()
+}
+
+#[test]
+fn pictures_are_sent_in_the_turns_that_they_were_shown_in() {
+    let server = Server::start(|number, _| completion(&format!("answer {number}")));
+    let endpoint = open(&server);
+    let picture = |side| std::sync::Arc::new(RgbImage::new(side, 4));
+    let prefix = PromptPrefix {
+        system: String::new(),
+        image: Some(picture(1)),
+    };
+    let mut conversation = endpoint.converse(&prefix, 3).unwrap();
+    let start = conversation.mark();
+    let ask = |conversation: &mut Box<dyn Conversation + '_>| {
+        conversation
+            .ask("Which lane?", &request(Constraint::Free))
+            .unwrap();
+    };
+    conversation.show(&[picture(2)]).unwrap();
+    ask(&mut conversation);
+    ask(&mut conversation);
+    conversation.show(&[picture(3), picture(4)]).unwrap();
+    ask(&mut conversation);
+    conversation.rewind(start);
+    ask(&mut conversation);
+    let received = server.received();
+    let sent: Vec<Vec<usize>> = received.iter().map(|sent| pictures(&sent.body)).collect();
+    assert_eq!(sent, [vec![2], vec![2, 0], vec![2, 0, 2], vec![1]]);
+    let content = &received[2].body["messages"][4]["content"];
+    assert_ne!(content[0], content[1], "the pictures differ");
+    assert_eq!(content[2]["text"], "Which lane?");
 }
 
 #[test]

@@ -58,8 +58,8 @@ impl VisionLanguageModel for ToyModel {
         self.0.chat_format(files, tokenizer)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        self.0.positions(tokens, image)
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        self.0.positions(tokens, images)
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

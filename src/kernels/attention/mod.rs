@@ -63,7 +63,7 @@ pub fn exact_tokens(shape: HeadShape) -> usize {
 pub fn attend(
     rows: &Projected<'_>,
     held: &KeyValues,
-    mask: AttentionMask,
+    mask: AttentionMask<'_>,
 ) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();
@@ -101,7 +101,7 @@ fn count(shape: HeadShape, number_bytes: usize, seen: impl Iterator<Item = Range
 fn mix(
     rows: &Projected<'_>,
     held: &KeyValues,
-    mask: AttentionMask,
+    mask: AttentionMask<'_>,
     instructions: Instructions,
 ) -> Vec<f32> {
     match &held.blocks {
@@ -126,7 +126,7 @@ fn mix(
 struct Attention<'a, N> {
     rows: Projected<'a>,
     blocks: &'a [Arc<Block<N>>],
-    mask: AttentionMask,
+    mask: AttentionMask<'a>,
     instructions: Instructions,
 }
 

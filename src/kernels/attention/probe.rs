@@ -10,7 +10,7 @@ pub struct AttentionProbe {
     cached: KeyValues,
     /// Queries, keys and values of the last tokens.
     last: Tensor,
-    mask: AttentionMask,
+    mask: AttentionMask<'static>,
 }
 
 impl AttentionProbe {

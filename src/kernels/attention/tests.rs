@@ -38,7 +38,7 @@ fn plain(
     shape: HeadShape,
     tokens: usize,
     precision: Precision,
-    mask: AttentionMask,
+    mask: AttentionMask<'_>,
 ) -> Vec<f32> {
     let rounded = |value: &f32| match precision {
         Precision::Single => f64::from(*value),
@@ -119,7 +119,7 @@ fn deviations_by(
     tokens: usize,
     positions: usize,
     scale: f32,
-    mask: AttentionMask,
+    mask: AttentionMask<'_>,
 ) -> f32 {
     let all = projections(positions, shape, scale, positions as u64);
     let last = all.narrow(0, positions - tokens, tokens).unwrap();
@@ -137,33 +137,43 @@ fn deviations_by(
 
 #[test]
 fn tokens_of_a_block_see_one_another_and_no_other_token_sees_further() {
-    let mask = |window| AttentionMask::CausalWithBlock {
+    let mask = |window| AttentionMask::CausalWithBlocks {
         start: 10,
         window,
-        block: [12, 15],
+        blocks: &[[12, 15], [16, 18]],
     };
-    let seen = |window| [1, 2, 4, 5].map(|token| mask(window).seen_by(token));
-    assert_eq!(seen(None), [0..12, 0..15, 0..15, 0..16]);
-    assert_eq!(seen(Some(3)), [9..12, 10..15, 12..15, 13..16]);
+    let seen = |window| [1, 2, 4, 5, 6, 8].map(|token| mask(window).seen_by(token));
+    assert_eq!(seen(None), [0..12, 0..15, 0..15, 0..16, 0..18, 0..19]);
+    assert_eq!(
+        seen(Some(3)),
+        [9..12, 10..15, 12..15, 13..16, 14..18, 16..19]
+    );
     let shape = HeadShape {
         query_heads: 4,
         key_heads: 2,
         width: 24,
     };
-    for (tokens, before, block, window) in [
-        (90, 30, [3, 70], None),
-        (90, 30, [3, 70], Some(20)),
-        (12, 100, [0, 12], Some(5)),
-        (250, 0, [100, 250], Some(64)),
-        (3, 40, [1, 2], None),
+    for (tokens, before, blocks, window) in [
+        (90, 30, &[[3, 70]][..], None),
+        (90, 30, &[[3, 70]], Some(20)),
+        (90, 30, &[[3, 40], [40, 61], [64, 90]], None),
+        (90, 30, &[[3, 40], [40, 61], [64, 90]], Some(20)),
+        (12, 100, &[[0, 12]], Some(5)),
+        (250, 0, &[[100, 250]], Some(64)),
+        (3, 40, &[[1, 2]], None),
+        (3, 40, &[], None),
     ] {
-        let mask = AttentionMask::CausalWithBlock {
+        let moved: Vec<[usize; 2]> = blocks
+            .iter()
+            .map(|block| block.map(|row| before + row))
+            .collect();
+        let mask = AttentionMask::CausalWithBlocks {
             start: before,
             window,
-            block: block.map(|row| before + row),
+            blocks: &moved,
         };
         let found = deviations_by(shape, tokens, before + tokens, 1.0, mask);
-        assert!(found < 5e-6, "{tokens} tokens, {block:?}: {found}");
+        assert!(found < 5e-6, "{tokens} tokens, {blocks:?}: {found}");
     }
 }
 

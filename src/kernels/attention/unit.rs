@@ -21,7 +21,7 @@ pub(super) struct WorkUnit<'a, N> {
     pub(super) rows: Projected<'a>,
     /// The keys and values of all positions.
     pub(super) blocks: &'a [Arc<Block<N>>],
-    pub(super) mask: AttentionMask,
+    pub(super) mask: AttentionMask<'a>,
     pub(super) head: usize,
     pub(super) tokens: Range<usize>,
     pub(super) positions: Range<usize>,

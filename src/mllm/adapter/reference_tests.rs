@@ -108,7 +108,7 @@ fn logits(mut weights: Weights, base: &str, ids: &[u32]) -> Tensor {
         tokens: ids.iter().copied().map(Some).collect(),
         positions: (0..ids.len() as u32).map(|at| [at; 3]).collect(),
         prompt_end: ids.len(),
-        vision: 0..0,
+        vision: Vec::new(),
         deep: Vec::new(),
     };
     let mut cache = decoder.new_cache(ids.len());

@@ -2,7 +2,7 @@
 
 use super::config::AnswerStyle;
 use crate::MllmError;
-use crate::family::{Chat, ChatFormat};
+use crate::family::{Chat, ChatFormat, ChatImage, one_picture};
 use crate::text::ChatTokenizer;
 
 /// Vicuna's system prompt, for a chat without an image and without a system prompt.
@@ -25,16 +25,13 @@ pub(super) struct QuestionFormat {
 
 impl ChatFormat for QuestionFormat {
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
-        let mut ids = vec![self.bos];
-        ids.extend(std::iter::repeat_n(
-            self.image_token,
-            chat.image.map_or(0, |image| image.tokens),
-        ));
-        let text = if chat.image.is_some() {
-            self.questions(chat)
-        } else {
-            vicuna(chat)
+        let (tokens, text) = match chat.images {
+            [] => (0, vicuna(chat)),
+            [ChatImage { turn: 0, layout }] => (layout.tokens, self.questions(chat)),
+            _ => return Err(one_picture()),
         };
+        let mut ids = vec![self.bos];
+        ids.extend(std::iter::repeat_n(self.image_token, tokens));
         ids.extend(tokenizer.encode_text(&text)?);
         Ok(ids)
     }
@@ -75,7 +72,6 @@ fn vicuna(chat: &Chat<'_>) -> String {
 mod tests {
     use super::*;
     use crate::Turn;
-    use crate::family::ImageLayout;
 
     #[test]
     fn questions_and_answers_follow_one_another() {
@@ -85,7 +81,7 @@ mod tests {
         }];
         let chat = |system, turns| Chat {
             system,
-            image: Some(ImageLayout::whole(3)),
+            images: &[],
             turns,
             prompt: "three?",
         };

@@ -68,22 +68,27 @@ impl Expert {
 }
 
 impl ExpertLayer {
-    /// Applies a part of the vision expert to the rows of the image and of the language expert to
-    /// the others.
+    /// Applies a part of the vision expert to the rows of images and of the language expert to the
+    /// others.
     fn route(
         &self,
         x: &Tensor,
-        vision: &Range<usize>,
+        vision: &[Range<usize>],
         part: impl Fn(&Expert, &Tensor) -> candle_core::Result<Tensor>,
     ) -> candle_core::Result<Tensor> {
         if vision.is_empty() {
             return part(&self.language, x);
         }
-        let spans = [
-            (&self.language, 0..vision.start),
-            (&self.vision, vision.clone()),
-            (&self.language, vision.end..x.dim(0)?),
-        ];
+        let mut spans = Vec::new();
+        let mut end = 0;
+        for rows in vision {
+            spans.extend([
+                (&self.language, end..rows.start),
+                (&self.vision, rows.clone()),
+            ]);
+            end = rows.end;
+        }
+        spans.push((&self.language, end..x.dim(0)?));
         let routed = spans
             .into_iter()
             .filter(|(_, rows)| !rows.is_empty())

@@ -19,7 +19,7 @@ use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel};
 use super::family::{
     About, ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage,
-    Positions, Tiles, VisionLanguageModel,
+    Positions, Tiles, VisionLanguageModel, one_picture,
 };
 use super::text::ChatTokenizer;
 use chat::QuestionFormat;
@@ -99,6 +99,10 @@ impl VisionLanguageModel for CogVlm {
         Ok(ImageLayout::whole(self.info.max_image_tokens))
     }
 
+    fn layout_of_several(&self, _width: u32, _height: u32) -> Result<ImageLayout, MllmError> {
+        Err(one_picture())
+    }
+
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         let pixels = vec![preprocess::pixel_values(
             image,
@@ -118,10 +122,12 @@ impl VisionLanguageModel for CogVlm {
         ImageFeatures::whole(self.adapter.forward(&self.tower.forward(pixels)?)?)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        let image = image.map_or(0..0, |image| image.tokens());
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        let image = images.first().map_or(0..0, PlacedImage::tokens);
+        let rows = vision_rows(&tokens, &image);
+        let vision = if rows.is_empty() { vec![] } else { vec![rows] };
         Positions {
-            vision: vision_rows(&tokens, &image),
+            vision,
             ..Positions::plain(positions(tokens, &image))
         }
     }

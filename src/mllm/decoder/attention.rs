@@ -73,15 +73,18 @@ impl CausalAttention {
         cache: &mut DecoderCache,
     ) -> candle_core::Result<Tensor> {
         let (start, window) = (cache.len(), self.window);
-        let mask = if self.image_at_once && !pass.vision.is_empty() {
-            let block = [pass.vision.start, pass.vision.end].map(|row| start + row);
-            AttentionMask::CausalWithBlock {
+        let seen = pass.vision.iter().filter(|_| self.image_at_once);
+        let blocks: Vec<[usize; 2]> = seen
+            .map(|rows| [start + rows.start, start + rows.end])
+            .collect();
+        let mask = if blocks.is_empty() {
+            AttentionMask::Causal { start, window }
+        } else {
+            AttentionMask::CausalWithBlocks {
                 start,
                 window,
-                block,
+                blocks: &blocks,
             }
-        } else {
-            AttentionMask::Causal { start, window }
         };
         let rotary = Some(pass.rotary(self.local));
         match self.keys_of {

@@ -43,8 +43,8 @@ pub(crate) struct Pass {
     pub rotary: RotaryRows,
     /// Those of local layers; none where they have the same.
     pub local_rotary: Option<RotaryRows>,
-    /// The rows of an image, for layers with weights of their own for them.
-    pub vision: Range<usize>,
+    /// The rows of each image, in their order, for layers that tell an image from text.
+    pub vision: Vec<Range<usize>>,
     /// Numbers of each token for each layer, (tokens, layers · width); none where layers have no
     /// input of their own.
     pub layer_inputs: Option<Tensor>,

@@ -73,8 +73,8 @@ pub struct DecoderInput {
     /// The position behind the prompt that the rows belong to. A rotary embedding whose base grows
     /// with the prompt turns all its rows by this length; rows behind it by their own.
     pub prompt_end: usize,
-    /// The rows of an image, for layers with weights of their own for them.
-    pub vision: Range<usize>,
+    /// The rows of each image, in their order, for layers that tell an image from text.
+    pub vision: Vec<Range<usize>>,
     /// Added to the hidden states after the first layers, one for each: (tokens, hidden).
     pub deep: Vec<Tensor>,
 }

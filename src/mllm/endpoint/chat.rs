@@ -24,10 +24,26 @@ const SEED_BITS: u64 = 0x7fff_ffff;
 pub(super) struct Chat<'a> {
     /// The system prompt; empty for none.
     pub(super) system: &'a str,
-    /// The image of the first prompt, from [`data_url`].
-    pub(super) image: Option<&'a str>,
+    /// The images that prompts begin with.
+    pub(super) images: &'a [TurnImage],
     pub(super) turns: &'a [Turn],
     pub(super) prompt: &'a str,
+}
+
+/// An image that the prompt of a turn begins with.
+#[derive(Debug)]
+pub(super) struct TurnImage {
+    /// The turn, from 0.
+    pub(super) turn: usize,
+    /// The image as a `data:` address with a PNG.
+    url: String,
+}
+
+impl TurnImage {
+    pub(super) fn new(image: &RgbImage, turn: usize) -> Result<Self, MllmError> {
+        let url = data_url(image)?;
+        Ok(Self { turn, url })
+    }
 }
 
 /// The body of a request.
@@ -81,12 +97,15 @@ fn messages(chat: &Chat<'_>) -> Value {
         .iter()
         .map(|turn| (turn.prompt.as_str(), Some(turn.answer.as_str())));
     for (index, (prompt, answer)) in said.chain([(chat.prompt, None)]).enumerate() {
-        let content = match chat.image.filter(|_| index == 0) {
-            None => json!(prompt),
-            Some(url) => json!([
-                {"type": "image_url", "image_url": {"url": url}},
-                {"type": "text", "text": prompt},
-            ]),
+        let images = chat.images.iter().filter(|image| image.turn == index);
+        let images =
+            images.map(|image| json!({"type": "image_url", "image_url": {"url": image.url}}));
+        let mut parts: Vec<Value> = images.collect();
+        let content = if parts.is_empty() {
+            json!(prompt)
+        } else {
+            parts.push(json!({"type": "text", "text": prompt}));
+            Value::Array(parts)
         };
         messages.push(json!({"role": "user", "content": content}));
         if let Some(answer) = answer {
@@ -199,7 +218,7 @@ pub(super) fn constraint_use(
 }
 
 /// An image as a `data:` address with a PNG.
-pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
+fn data_url(image: &RgbImage) -> Result<String, MllmError> {
     let mut png = Cursor::new(Vec::new());
     image
         .write_to(&mut png, ImageFormat::Png)

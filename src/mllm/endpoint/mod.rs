@@ -22,10 +22,12 @@ use super::{
     LoadReport, Mark, Mllm, MllmError, ModelDescription, ProbeQuestion, PromptPrefix, Request,
     RoundTime, Server, TokenCounts, Turn, milliseconds, prompt_hash,
 };
-use chat::Chat;
+use chat::{Chat, TurnImage};
 use client::{Client, Question};
+use image::RgbImage;
 use key::ApiKey;
 use reqwest::Url;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -145,14 +147,18 @@ impl Mllm for Endpoint {
         prefix: &PromptPrefix,
         seed: u64,
     ) -> Result<Box<dyn Conversation + 'a>, MllmError> {
-        Ok(Box::new(EndpointConversation {
+        let mut conversation = EndpointConversation {
             endpoint: self,
             system: prefix.system.clone(),
-            image: prefix.image.as_deref().map(chat::data_url).transpose()?,
+            images: Vec::new(),
+            of_prefix: 0,
             seed,
             answers: 0,
             turns: Vec::new(),
-        }))
+        };
+        conversation.show(prefix.image.as_slice())?;
+        conversation.of_prefix = conversation.images.len();
+        Ok(Box::new(conversation))
     }
 }
 
@@ -160,8 +166,10 @@ impl Mllm for Endpoint {
 struct EndpointConversation<'a> {
     endpoint: &'a Endpoint,
     system: String,
-    /// The image as a `data:` address.
-    image: Option<String>,
+    /// The images that prompts begin with, that of the prefix first.
+    images: Vec<TurnImage>,
+    /// Number of images of the prefix.
+    of_prefix: usize,
     seed: u64,
     answers: u64,
     turns: Vec<Turn>,
@@ -187,12 +195,27 @@ impl Conversation for EndpointConversation<'_> {
         self.request(prompt, request, Some(on_text))
     }
 
+    fn show(&mut self, images: &[Arc<RgbImage>]) -> Result<(), MllmError> {
+        let turn = self.turns.len();
+        let written = images.iter().map(|image| TurnImage::new(image, turn));
+        self.images
+            .extend(written.collect::<Result<Vec<_>, MllmError>>()?);
+        Ok(())
+    }
+
     fn mark(&self) -> Mark {
-        Mark(self.turns.len())
+        Mark {
+            turns: self.turns.len(),
+            images: self.images.len() - self.of_prefix,
+        }
     }
 
     fn rewind(&mut self, mark: Mark) {
-        self.turns.truncate(mark.0);
+        self.turns.truncate(mark.turns);
+        self.images
+            .truncate(self.of_prefix.saturating_add(mark.images));
+        let next = self.turns.len();
+        self.images.retain(|image| image.turn <= next);
     }
 }
 
@@ -235,7 +258,7 @@ impl EndpointConversation<'_> {
         let seed = answer_seed(self.seed, self.answers);
         let chat = Chat {
             system: &self.system,
-            image: self.image.as_deref(),
+            images: &self.images,
             turns: &self.turns,
             prompt,
         };

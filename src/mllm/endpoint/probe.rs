@@ -1,7 +1,7 @@
 //! At most two short questions that show whether a server can be asked what a run asks: it is there,
 //! has the model, takes a picture and a constraint, and the model looks at the picture.
 
-use super::chat::{self, Chat};
+use super::chat::{self, Chat, TurnImage};
 use super::client::Question;
 use super::{Endpoint, ProbeQuestion};
 use crate::{Constraint, ConstraintUse, Deadline, GrammarField, MllmError, Request};
@@ -92,15 +92,16 @@ impl Endpoint {
             draft: None,
         };
         request.sampling.check()?;
-        let image = picture.map(chat::data_url).transpose()?;
+        let shown = picture.map(|image| TurnImage::new(image, 0));
+        let images: Vec<TurnImage> = shown.transpose()?.into_iter().collect();
         let chat = Chat {
             system: SYSTEM,
-            image: image.as_deref(),
+            images: &images,
             turns: &[],
-            prompt: if image.is_some() {
-                OF_PICTURE
-            } else {
+            prompt: if images.is_empty() {
                 OF_NOTHING
+            } else {
+                OF_PICTURE
             },
         };
         let body = chat::body(&self.settings, &chat, &request, 0)?;

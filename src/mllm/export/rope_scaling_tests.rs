@@ -114,8 +114,8 @@ impl<'a> Run<'a> {
 
     /// The logits of the whole prompt, computed in pieces.
     fn logits(&self, sequence: &mut Sequence, pieces: &[usize]) -> Tensor {
-        let layout = self.features.as_ref().map(|features| features.layout);
-        let kept = sequence.begin(self.model, &self.ids, layout);
+        let layouts = self.features.as_ref().map(|features| &*features.layouts);
+        let kept = sequence.begin(self.model, &self.ids, layouts.unwrap_or_default());
         assert_eq!(kept, 0);
         let (mut rest, mut rows) = (self.ids.as_slice(), Vec::new());
         for piece in pieces.iter().copied().chain([self.ids.len()]) {
@@ -146,8 +146,8 @@ impl<'a> Run<'a> {
         assert!(found < LOGIT_TOLERANCE, "{}: {found}", case.name);
         let expected = reference.ids(&format!("{}.generated", case.name), 0);
         let mut sequence = Sequence::new(self.model);
-        let layout = self.features.as_ref().map(|features| features.layout);
-        sequence.begin(self.model, &self.ids, layout);
+        let layouts = self.features.as_ref().map(|features| &*features.layouts);
+        sequence.begin(self.model, &self.ids, layouts.unwrap_or_default());
         let count = expected.len();
         let features = self.features.as_ref();
         let found = greedy(self.model, &mut sequence, &self.ids, features, count);
@@ -274,7 +274,7 @@ fn rounds_of_a_dynamic_base_give_what_each_gives_alone() {
         for (length, expected) in [(20, 0), (30, 20), (32, 30), (44, 0), (60, 0), (31, 0)] {
             let prompt = &ids[..length];
             let answer = |sequence: &mut Sequence| {
-                let kept = sequence.begin(&*model, prompt, None);
+                let kept = sequence.begin(&*model, prompt, &[]);
                 let logits = sequence
                     .append_in_passes(&*model, &prompt[kept..], None, Logits::Last, Deadline::NONE)
                     .unwrap()

@@ -263,7 +263,7 @@ pub(super) fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<
         let words = ids.iter().copied();
         words.filter(|id| *id != image).collect()
     };
-    let placeholders = vec![image; features.layout.tokens];
+    let placeholders = vec![image; features.tokens()];
     let ids = [words(&[1, 5]), placeholders, words(&[7, 8, 9])].concat();
     let logits: Tensor = Sequence::new(model)
         .append(model, &ids, Some(&features), Logits::All)

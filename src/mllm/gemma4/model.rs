@@ -94,13 +94,8 @@ impl VisionLanguageModel for Gemma4 {
         )?))
     }
 
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        let image = image.map_or(0..0, |image| image.tokens());
-        let within = |index: usize| index.clamp(tokens.start, tokens.end) - tokens.start;
-        Positions {
-            vision: within(image.start)..within(image.end),
-            ..Positions::plain(tokens.start as u32..tokens.end as u32)
-        }
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        Positions::with_images(tokens, images)
     }
 
     fn image_at_once(&self) -> bool {

@@ -74,11 +74,11 @@ impl ImageEncoder {
         Ok(ImageFeatures {
             rows,
             deep: Vec::new(),
-            layout: ImageLayout {
+            layouts: vec![ImageLayout {
                 tokens: rows_of_tokens * columns,
                 rows: rows_of_tokens,
                 columns,
-            },
+            }],
         })
     }
 

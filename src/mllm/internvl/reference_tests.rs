@@ -122,11 +122,11 @@ fn features(rows: Tensor) -> ImageFeatures {
     ImageFeatures {
         rows,
         deep: Vec::new(),
-        layout: ImageLayout {
+        layouts: vec![ImageLayout {
             tokens: 28,
             rows: 2,
             columns: 3,
-        },
+        }],
     }
 }
 
@@ -183,6 +183,6 @@ fn errors_that_are_easily_made_lead_far_away() {
     }
     assert_eq!(
         right.image_layout(40, 24).unwrap(),
-        encoded(&right, &run.pixels).layout
+        encoded(&right, &run.pixels).layouts[0]
     );
 }

@@ -158,7 +158,7 @@ impl LatencyProbe {
         count: usize,
     ) -> Result<(Vec<f32>, Vec<u32>), MllmError> {
         let mut time = StepTime::default();
-        self.sequence.begin(&*self.model, prompt, None);
+        self.sequence.begin(&*self.model, prompt, &[]);
         self.sequence.cut(0);
         self.pending = prompt.to_vec();
         let (mut first, mut tokens) = (Vec::new(), Vec::new());

@@ -132,6 +132,13 @@ impl VisionLanguageModel for LlavaOnevision {
         }))
     }
 
+    fn layout_of_several(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
+        self.image_layout(width, height)?;
+        Ok(ImageLayout::whole(connector::view_tokens(
+            &self.config.grids,
+        )))
+    }
+
     fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
         self.image_layout(width, height)?;
         let tiles = if self.one_view {
@@ -149,23 +156,27 @@ impl VisionLanguageModel for LlavaOnevision {
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         check_not_empty(image)?;
         let (width, height) = image.dimensions();
-        let pixels = if self.one_view {
-            vec![self.processor.one_view(image, self.side())?]
-        } else {
-            self.processor
-                .tiles
-                .process(image, &self.tiling(width, height), self.side())?
-        };
+        if self.one_view {
+            return self.preprocess_of_several(image);
+        }
+        let tiling = self.tiling(width, height);
         Ok(Tiles {
-            pixels,
+            pixels: self.processor.tiles.process(image, &tiling, self.side())?,
             width,
             height,
         })
     }
 
+    fn preprocess_of_several(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        check_not_empty(image)?;
+        let view = self.processor.one_view(image, self.side())?;
+        Ok(Tiles::one_view(image, view))
+    }
+
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         let features = self.core.encoder.encode(&tiles.pixels)?;
-        ImageFeatures::whole(if self.one_view {
+        // An image that is cut has a tile beside the whole view.
+        ImageFeatures::whole(if tiles.pixels.len() == 1 {
             self.packer.pack_view(&features)?
         } else {
             let tiling = self.tiling(tiles.width, tiles.height);

@@ -129,7 +129,7 @@ fn errors_that_are_easily_made_lead_far_away() {
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&prompts.folder, fault));
         let wrong = encoded(&model, &tiles);
-        if wrong.layout == features.layout {
+        if wrong.layouts == features.layouts {
             run.logits(&right, &wrong).assert_far(what);
         } else {
             println!("  {what:48} other tokens");

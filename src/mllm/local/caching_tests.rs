@@ -52,8 +52,8 @@ impl VisionLanguageModel for Counting {
         self.model.encode(tiles)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        self.model.positions(tokens, image)
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        self.model.positions(tokens, images)
     }
 
     fn chat_format(

@@ -4,7 +4,7 @@ use super::grouped::grouped;
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, PictureNeed, end_tokens, memory};
 use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
 use crate::families::Architecture;
-use crate::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
+use crate::family::{Chat, ChatFormat, ChatImage, ImageLayout, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::text::{ChatTokenizer, GrammarEngine};
 use crate::{MllmError, Turn};
@@ -256,10 +256,11 @@ fn look_at_rounds(
         answer: answer.to_owned(),
     };
     let turns = vec![turn; EARLIER_ROUNDS];
+    let images: Vec<ChatImage> = image.map(ChatImage::first).into_iter().collect();
     for earlier in 0..=turns.len() {
         let chat = Chat {
             system,
-            image,
+            images: &images,
             turns: turns
                 .get(..earlier)
                 .expect("no more rounds are earlier than there are"),

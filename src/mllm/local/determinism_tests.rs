@@ -237,9 +237,7 @@ fn logits_hash() -> String {
     for (model, image) in models() {
         let model = &*model;
         let features = features_of(model, &image);
-        let patches = features
-            .as_ref()
-            .map_or(0, |features| features.layout.tokens);
+        let patches = features.as_ref().map_or(0, ImageFeatures::tokens);
         let ids: Vec<u32> = (10..40)
             .chain(std::iter::repeat_n(model.info().image_token, patches))
             .chain(100..190)
@@ -308,9 +306,7 @@ fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_insi
     for (model, image) in models() {
         let model = &*model;
         let features = features_of(model, &image);
-        let patches = features
-            .as_ref()
-            .map_or(0, |features| features.layout.tokens);
+        let patches = features.as_ref().map_or(0, ImageFeatures::tokens);
         let ids: Vec<u32> = (10..40)
             .chain(std::iter::repeat_n(model.info().image_token, patches))
             .chain(100..150)

@@ -81,7 +81,7 @@ impl Drafting {
         let limit = limit
             .min(MAX_DRAFT)
             .min(model.context(0).saturating_sub(text.len()));
-        let kept = self.sequence.begin(model, &text, None);
+        let kept = self.sequence.begin(model, &text, &[]);
         let mut next = text[kept..].to_vec();
         let mut draft = Vec::new();
         while draft.len() < limit {

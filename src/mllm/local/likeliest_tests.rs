@@ -102,7 +102,7 @@ fn the_likeliest_answers_are_those_of_all_answers() {
         let local = model(name);
         let chat = Chat {
             system: "",
-            image: None,
+            images: &[],
             turns: &[],
             prompt: PROMPT,
         };

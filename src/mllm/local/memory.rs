@@ -1,6 +1,7 @@
 //! The memory that a model needs, and the memory that is free.
 
 use super::picture::PictureNeed;
+use super::sequence::MAX_TOKENS_IN_PASS;
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, in_bytes};
 use crate::decoder::{MAX_ROWS, MAX_STATES};
@@ -24,7 +25,7 @@ pub struct MemoryNeed {
     pub weights: u64,
     /// Keys and values of a chat, and the states of layers that keep others.
     pub cache: u64,
-    /// Activations of a prompt, or a tensor during quantization, whichever is larger.
+    /// Activations of a pass, or a tensor during quantization, whichever is larger.
     pub work: u64,
     /// The picture, its tiles and patches, and the activations of the vision tower.
     pub picture: u64,
@@ -86,6 +87,8 @@ impl MemoryNeed {
             .streams
             .as_ref()
             .map_or(0, |streams| 3 * (streams.count - 1));
+        // A pass has no more, but for an image that is not cut.
+        let pass = tokens.min((MAX_TOKENS_IN_PASS as u64).saturating_add(picture.tokens));
         let alive = (ROWS.0 + further as u64) * width(decoder.hidden)
             + ROWS.1 * width(decoder.intermediate);
         Self {
@@ -93,7 +96,7 @@ impl MemoryNeed {
             cache: (2 * key_value * tokens)
                 .saturating_mul(keys)
                 .saturating_add(states),
-            work: (float * tokens * alive).max(checkpoint.weights.largest_reading(quantize)),
+            work: (float * pass * alive).max(checkpoint.weights.largest_reading(quantize)),
             picture: picture.bytes,
         }
     }

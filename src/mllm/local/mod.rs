@@ -7,6 +7,7 @@ mod draft;
 mod draft_model;
 mod generate;
 mod grouped;
+mod images;
 mod likeliest;
 mod loading;
 mod memory;
@@ -27,6 +28,8 @@ mod likeliest_tests;
 mod odd_folder_tests;
 #[cfg(test)]
 mod outside_tests;
+#[cfg(test)]
+mod several_tests;
 #[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
@@ -50,7 +53,7 @@ pub use work::ModelWork;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
-use super::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
+use super::family::{Chat, ChatFormat, ChatImage, VisionLanguageModel};
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
@@ -91,7 +94,7 @@ pub struct LocalModel {
 #[derive(Debug)]
 struct CallPrefix {
     system: String,
-    image: Option<ImageLayout>,
+    image: Option<ChatImage>,
     sequence: Sequence,
 }
 
@@ -166,7 +169,7 @@ impl LocalModel {
         &*self.model
     }
 
-    /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
+    /// Longest chat, tokens, whose images become `image_tokens` tokens.
     fn context(&self, image_tokens: usize) -> usize {
         self.limited(self.model.context(image_tokens))
     }
@@ -179,12 +182,12 @@ impl LocalModel {
         self.format.ids(&self.tokenizer, chat)
     }
 
-    /// The tokens before the image and the first prompt. They are always computed in a pass of
+    /// The tokens before the image of a prompt prefix and the first prompt. They are always computed in a pass of
     /// their own, so that their keys and values do not depend on the first conversation.
     fn call_prefix(
         &self,
         system: &str,
-        image: Option<ImageLayout>,
+        image: Option<ChatImage>,
     ) -> Result<Arc<CallPrefix>, MllmError> {
         let same = |prefix: &&Arc<CallPrefix>| prefix.image == image && prefix.system == system;
         let known = {
@@ -195,18 +198,15 @@ impl LocalModel {
             return Ok(prefix);
         }
         // Prompts without a common character share the tokens that do not depend on the prompt.
-        let ids = self.prompt_ids(&Chat {
-            system,
-            image,
-            turns: &[],
-            prompt: "0",
-        })?;
-        let other = self.prompt_ids(&Chat {
-            system,
-            image,
-            turns: &[],
-            prompt: "z",
-        })?;
+        let with = |prompt| {
+            self.prompt_ids(&Chat {
+                system,
+                images: image.as_slice(),
+                turns: &[],
+                prompt,
+            })
+        };
+        let (ids, other) = (with("0")?, with("z")?);
         let image_token = self.model.info().image_token;
         let agree = ids
             .iter()
@@ -214,7 +214,7 @@ impl LocalModel {
             .take_while(|(a, b)| a == b && **a != image_token)
             .count();
         let len = if agree < MIN_PREFIX { 0 } else { agree };
-        let context = self.context(image.map_or(0, |image| image.tokens));
+        let context = self.context(image.map_or(0, |image| image.layout.tokens));
         if len > context {
             return Err(MllmError::PromptTooLong {
                 tokens: ids.len(),

@@ -7,7 +7,7 @@ use candle_core::Tensor;
 use planagent_kernels::attention::position_end;
 
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
-const MAX_TOKENS_IN_PASS: usize = 512;
+pub(super) const MAX_TOKENS_IN_PASS: usize = 512;
 
 /// Tokens at the end of a prompt that open the answer, at most: a chat's history may hold them
 /// otherwise (Qwen 3 and 3.5 write no empty thinking there), so that later prompts part before it.
@@ -52,20 +52,17 @@ impl Sequence {
         }
     }
 
-    /// Begins a prompt, whose image lies so in the chat. Keeps computed tokens that it begins with,
+    /// Begins a prompt, whose images lie so in the chat. Keeps computed tokens that it begins with,
     /// without its last one, whose logits are needed, and gives their number.
     pub(crate) fn begin(
         &mut self,
         model: &dyn VisionLanguageModel,
         prompt: &[u32],
-        image: Option<ImageLayout>,
+        images: &[ImageLayout],
     ) -> usize {
         let image_token = model.info().image_token;
-        let first = prompt.iter().position(|id| *id == image_token);
-        let image = first
-            .zip(image)
-            .map(|(first, layout)| PlacedImage { first, layout });
-        let positions = model.positions(0..prompt.len(), image).rotary;
+        let images = PlacedImage::all(prompt.iter().copied(), image_token, images);
+        let positions = model.positions(0..prompt.len(), &images).rotary;
         self.prompt_end = positions.iter().map(position_end).max().unwrap_or(0);
         let length = model.decoder().rotary_length(self.prompt_end);
         let known = self.ids.iter().zip(&self.lengths);
@@ -80,7 +77,7 @@ impl Sequence {
     }
 
     /// Marks, in tokens that are to be appended, where later prompts part from this one: behind the
-    /// image, before the opening of the answer, and before the last token, whose logits are needed
+    /// last image, before the opening of the answer, and before the last token, whose logits are needed
     /// again.
     pub(crate) fn mark_prompt(&mut self, image_token: u32, next: &[u32]) {
         let image_end = next.iter().rposition(|id| *id == image_token);
@@ -200,7 +197,7 @@ impl Sequence {
         let is_image = |id: &u32| *id == image_token;
         // A pass may end inside the placeholders, so it goes on behind those that are computed.
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
-        let known = features.map_or(0, |features| features.layout.tokens);
+        let known = features.map_or(0, ImageFeatures::tokens);
         let mut rows = Vec::new();
         let layers = features
             .filter(|_| ids.iter().any(is_image))
@@ -227,22 +224,17 @@ impl Sequence {
                 rows.push(embedded);
             }
         }
-        let first = self.ids.iter().chain(ids).position(is_image);
-        let image = match (first, features) {
-            (Some(first), Some(features)) => Some(PlacedImage {
-                first,
-                layout: features.layout,
-            }),
-            (Some(_), None) => {
-                return Err(MllmError::ImagePlaceholder {
-                    expected: 0,
-                    found: used,
-                });
-            }
-            (None, _) => None,
-        };
+        if used > known {
+            return Err(MllmError::ImagePlaceholder {
+                expected: known,
+                found: used,
+            });
+        }
+        let layouts = features.map_or(&[][..], |features| &features.layouts);
+        let all = self.ids.iter().chain(ids).copied();
+        let images = PlacedImage::all(all, image_token, layouts);
         let Positions { rotary, vision } =
-            model.positions(self.ids.len()..self.ids.len() + ids.len(), image);
+            model.positions(self.ids.len()..self.ids.len() + ids.len(), &images);
         let context = model.info().positions;
         if let Some(position) = rotary
             .iter()
@@ -268,6 +260,14 @@ impl Sequence {
             vision,
             deep,
         })
+    }
+
+    /// Drops the tokens from an image on before which other images have `tokens` tokens.
+    pub(super) fn forget_image_from(&mut self, image_token: u32, tokens: usize) {
+        let images = (0..).zip(&self.ids).filter(|(_, id)| **id == image_token);
+        if let Some((first, _)) = images.skip(tokens).map(|(at, id)| (at, *id)).next() {
+            self.cut(first);
+        }
     }
 
     /// How many of the first tokens are those of `ids`.

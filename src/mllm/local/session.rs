@@ -4,10 +4,11 @@ use super::LocalModel;
 use super::draft::Drafter;
 use super::draft_model::Drafting;
 use super::generate::{End, Generated, generate};
+use super::images::Images;
 use super::likeliest::Search;
 use super::sequence::Sequence;
 use super::thinking::{ThinkingBounds, ThinkingText};
-use crate::family::{Chat, ImageFeatures, ImageLayout};
+use crate::family::{Chat, ImageLayout};
 use crate::sampling::{Sampler, answer_seed};
 use crate::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request,
@@ -24,14 +25,13 @@ use std::time::Instant;
 /// computed twice across rounds and rewinds.
 pub(super) struct LocalConversation<'a> {
     local: &'a LocalModel,
-    prefix: PromptPrefix,
-    /// How the image lies in the chat; none without one.
-    image: Option<ImageLayout>,
+    /// The system prompt; empty for none.
+    system: String,
+    images: Images,
     seed: u64,
     answers: u64,
     turns: Vec<Turn>,
     sequence: Sequence,
-    features: Option<ImageFeatures>,
     /// Of the draft model, if there is one.
     drafting: Option<Drafting>,
     /// Time spent on the system prompt before the first round, milliseconds.
@@ -46,33 +46,19 @@ impl<'a> LocalConversation<'a> {
         seed: u64,
     ) -> Result<Self, MllmError> {
         let start = Instant::now();
-        let layout =
-            |image: &Arc<RgbImage>| local.model.image_layout(image.width(), image.height());
-        let image = prefix.image.as_ref().map(layout).transpose()?;
+        let (images, image) = Images::of_prefix(&*local.model, prefix.image.as_ref())?;
         let computed = local.call_prefix(&prefix.system, image)?;
         Ok(Self {
             local,
-            prefix: prefix.clone(),
-            image,
+            system: prefix.system.clone(),
+            images,
             seed,
             answers: 0,
             turns: Vec::new(),
             sequence: computed.sequence.clone(),
-            features: None,
             drafting: local.draft_model.as_ref().map(Drafting::new),
             prefix_time: milliseconds(start.elapsed()),
         })
-    }
-
-    /// Encodes the image if one of the tokens needs it and it is not encoded yet.
-    fn encode_image(&mut self, ids: &[u32]) -> Result<(), MllmError> {
-        if self.features.is_some() || !ids.contains(&self.local.model.info().image_token) {
-            return Ok(());
-        }
-        if let Some(image) = &self.prefix.image {
-            self.features = Some(self.local.model.encode_image(image)?);
-        }
-        Ok(())
     }
 
     fn decode(&self, request: &Request, ids: &[u32]) -> Result<String, MllmError> {
@@ -184,13 +170,22 @@ impl Conversation for LocalConversation<'_> {
         Ok(answers)
     }
 
+    fn show(&mut self, images: &[Arc<RgbImage>]) -> Result<(), MllmError> {
+        self.images
+            .show(&*self.local.model, images, self.turns.len())
+    }
+
     fn mark(&self) -> Mark {
-        Mark(self.turns.len())
+        Mark {
+            turns: self.turns.len(),
+            images: self.images.later(),
+        }
     }
 
     fn rewind(&mut self, mark: Mark) {
         // The computed tokens stay; the next round keeps those that still agree.
-        self.turns.truncate(mark.0);
+        self.turns.truncate(mark.turns);
+        self.images.rewind(mark.images, self.turns.len());
     }
 }
 
@@ -218,7 +213,7 @@ impl LocalConversation<'_> {
         let reasoned = thinking.think(
             &*local.model,
             &mut self.sequence,
-            self.features.as_ref(),
+            self.images.features(),
             rest,
             Sampler::new(request.sampling, seed)?,
             bounds,
@@ -237,12 +232,14 @@ impl LocalConversation<'_> {
         request.deadline.check()?;
         let local = self.local;
         let image_token = local.model.info().image_token;
-        let context = local.context(self.image.map_or(0, |image| image.tokens));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
         let grammar = local.grammars.begin(&request.constraint)?;
+        let images = self.images.lay_out(&*local.model, &mut self.sequence)?;
+        let layouts: Vec<ImageLayout> = images.iter().map(|image| image.layout).collect();
+        let context = local.context(layouts.iter().map(|layout| layout.tokens).sum());
         let chat = Chat {
-            system: &self.prefix.system,
-            image: self.image,
+            system: &self.system,
+            images: &images,
             turns: &self.turns,
             prompt,
         };
@@ -253,13 +250,11 @@ impl LocalConversation<'_> {
                 context,
             });
         }
-        let cached = self.sequence.begin(&*local.model, &ids, self.image);
+        let cached = self.sequence.begin(&*local.model, &ids, &layouts);
         let rest = &ids[cached..];
 
         let encode_start = Instant::now();
-        let encoded_before = self.features.is_some();
-        self.encode_image(rest)?;
-        let image_encode = if self.features.is_some() && !encoded_before {
+        let image_encode = if self.images.encode(&*local.model, rest)? {
             milliseconds(encode_start.elapsed())
         } else {
             0.0
@@ -298,7 +293,7 @@ impl LocalConversation<'_> {
         let generated: Generated = generate(
             &*local.model,
             &mut self.sequence,
-            self.features.as_ref(),
+            self.images.features(),
             &whole[computed_so_far..],
             grammar,
             sampler,
@@ -337,7 +332,7 @@ impl LocalConversation<'_> {
             ],
         };
         let answer = Answer {
-            prompt_hash: prompt_hash(&self.prefix.system, &self.turns, prompt),
+            prompt_hash: prompt_hash(&self.system, &self.turns, prompt),
             tokens: TokenCounts {
                 text: computed.len() - image_tokens,
                 image: image_tokens,

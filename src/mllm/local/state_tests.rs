@@ -116,7 +116,7 @@ fn act(
         }
         Action::Begin(kept, tokens) => {
             let prompt = [&known[..(*kept).min(known.len())], tokens].concat();
-            let kept = sequence.begin(model, &prompt, None);
+            let kept = sequence.begin(model, &prompt, &[]);
             append(model, sequence, &prompt[kept..], 5);
             *known = prompt;
         }

@@ -196,7 +196,7 @@ impl Deviation {
         let positions = Positions::plain(positions).rotary;
         let input = DecoderInput {
             positions,
-            vision,
+            vision: vec![vision],
             ..input
         };
         let logits = decoder

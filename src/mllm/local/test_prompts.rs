@@ -10,7 +10,8 @@ use super::{Loading, LocalModel, Sequence};
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::decoder::{DecoderInput, Logits, Position};
 use crate::family::{
-    Chat, Family, ImageFeatures, ImageSettings, PlacedImage, Positions, VisionLanguageModel,
+    Chat, ChatImage, Family, ImageFeatures, ImageSettings, PlacedImage, Positions,
+    VisionLanguageModel,
 };
 use crate::source::ModelPlace;
 use crate::{MllmError, Turn};
@@ -187,11 +188,13 @@ impl Prompts {
         for (name, run) in runs.iter().filter(|(name, _)| wanted(name)) {
             let index = run["image"].as_u64();
             let image = index.map(|index| self.image(index));
-            let layout = image
-                .as_ref()
-                .map(|image| model.image_layout(image.width(), image.height()).unwrap());
+            let layout = |image: &RgbImage| {
+                let layout = model.image_layout(image.width(), image.height());
+                ChatImage::first(layout.unwrap())
+            };
+            let shown = image.as_ref().map(layout);
             let ids = local
-                .prompt_ids(&self.chat(name, layout.as_ref(), &self.turns(name)))
+                .prompt_ids(&self.chat(name, shown.as_slice(), &self.turns(name)))
                 .unwrap();
             let expected = self.reference.ids(&format!("{name}input_ids"), 0);
             assert_eq!(ids, expected, "{name}");
@@ -218,7 +221,7 @@ impl Prompts {
                     &ids,
                     PlacedImage {
                         first: 0,
-                        layout: features.layout,
+                        layout: features.layouts[0],
                     },
                 );
             }
@@ -265,12 +268,7 @@ impl Prompts {
         }
     }
 
-    fn chat<'a>(
-        &'a self,
-        name: &str,
-        layout: Option<&crate::ImageLayout>,
-        turns: &'a [Turn],
-    ) -> Chat<'a> {
+    fn chat<'a>(&'a self, name: &str, images: &'a [ChatImage], turns: &'a [Turn]) -> Chat<'a> {
         let plain = name == "nosystem_";
         let prompt = usize::from(plain || name == "chat_");
         Chat {
@@ -279,7 +277,7 @@ impl Prompts {
             } else {
                 self.texts["system"].as_str().unwrap()
             },
-            image: layout.copied(),
+            images,
             turns,
             prompt: self.texts["prompts"][prompt].as_str().unwrap(),
         }
@@ -301,7 +299,7 @@ impl Prompts {
         // Some references have no positions: their tokens stand one behind the other.
         if !self.reference.contains(&stored) {
             let plain = Positions::plain(0..ids.len() as u32).rotary;
-            assert_eq!(model.positions(0..ids.len(), Some(image)).rotary, plain);
+            assert_eq!(model.positions(0..ids.len(), &[image]).rotary, plain);
             return;
         }
         let expected = self.reference.tensor(&stored);
@@ -317,7 +315,7 @@ impl Prompts {
             .map(|token| [0, 1, 2].map(|number| u32::try_from(axis(number)[token]).unwrap()))
             .collect();
         for part in [0..ids.len(), 0..9, 9..21, 21..ids.len()] {
-            let found = model.positions(part.clone(), Some(image)).rotary;
+            let found = model.positions(part.clone(), &[image]).rotary;
             assert_eq!(found, expected[part.clone()], "{name}: {part:?}");
         }
     }
@@ -475,7 +473,7 @@ impl<'a> SecondImage<'a> {
         let input = Sequence::new(model)
             .decoder_input(model, &self.ids, Some(features))
             .unwrap();
-        let vision = change(input.vision.clone());
+        let vision = input.vision.iter().cloned().map(change).collect();
         self.deviation(model, features, &DecoderInput { vision, ..input })
     }
 

@@ -6,7 +6,7 @@ use crate::Turn;
 use crate::checkpoint::read_json;
 use crate::decoder::Logits;
 use crate::families::Families;
-use crate::family::{Chat, ImageFeatures, VisionLanguageModel};
+use crate::family::{Chat, ChatImage, ImageFeatures, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
 use candle_core::{Device, Tensor};
 use std::path::{Path, PathBuf};
@@ -348,11 +348,11 @@ pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
         } else {
             (vec![], &prompts[0])
         };
-        let image = (*name != "text_").then_some(layout);
+        let image = (*name != "text_").then_some(ChatImage::first(layout));
         let ids = local
             .prompt_ids(&Chat {
                 system: &system,
-                image,
+                images: image.as_slice(),
                 turns: &turns,
                 prompt,
             })

@@ -159,7 +159,7 @@ fn a_template_that_can_think_is_rendered_without_thoughts() {
     let local = load(&ModelPlace::Folder(folder.path().to_path_buf())).unwrap();
     let chat = Chat {
         system: "",
-        image: None,
+        images: &[],
         turns: &[],
         prompt: "Which lane?",
     };

@@ -115,7 +115,8 @@ fn errors_that_are_easily_made_lead_far_away() {
             .assert_logits_far(what);
     }
     let mut turned = features.clone();
-    std::mem::swap(&mut turned.layout.rows, &mut turned.layout.columns);
+    let layout = &mut turned.layouts[0];
+    std::mem::swap(&mut layout.rows, &mut layout.columns);
     run.logits(&right, &turned)
         .assert_logits_far("rows and columns exchanged");
     for (what, wrong) in run.wrong_positions(&right) {

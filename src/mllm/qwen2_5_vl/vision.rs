@@ -154,11 +154,11 @@ impl PatchEncoder for ImageEncoder {
         Ok(ImageFeatures {
             rows: features,
             deep: Vec::new(),
-            layout: ImageLayout {
+            layouts: vec![ImageLayout {
                 tokens: rows * columns,
                 rows,
                 columns,
-            },
+            }],
         })
     }
 }

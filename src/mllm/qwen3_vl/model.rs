@@ -108,8 +108,8 @@ impl<E: PatchEncoder> VisionLanguageModel for PatchModel<E> {
         )?))
     }
 
-    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-        positions(tokens, image)
+    fn positions(&self, tokens: Range<usize>, images: &[PlacedImage]) -> Positions {
+        positions(tokens, images)
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

@@ -146,7 +146,8 @@ fn errors_that_are_easily_made_lead_far_away() {
         .assert_logits_far("the outputs of the tower's layers for other layers");
     // A grid of 3 by 8 tokens for one of 8 by 3.
     let mut turned = features.clone();
-    std::mem::swap(&mut turned.layout.rows, &mut turned.layout.columns);
+    let layout = &mut turned.layouts[0];
+    std::mem::swap(&mut layout.rows, &mut layout.columns);
     run.logits(&right, &turned)
         .assert_logits_far("rows and columns exchanged");
     for (what, wrong) in run.wrong_positions(&right) {

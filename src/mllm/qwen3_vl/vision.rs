@@ -145,11 +145,11 @@ impl PatchEncoder for ImageEncoder {
         Ok(ImageFeatures {
             rows: features,
             deep,
-            layout: ImageLayout {
+            layouts: vec![ImageLayout {
                 tokens: rows * columns,
                 rows,
                 columns,
-            },
+            }],
         })
     }
 }

@@ -156,11 +156,11 @@ fn features(rows: Tensor) -> ImageFeatures {
     ImageFeatures {
         rows,
         deep: Vec::new(),
-        layout: ImageLayout {
+        layouts: vec![ImageLayout {
             tokens: 28,
             rows: 2,
             columns: 3,
-        },
+        }],
     }
 }
 
@@ -208,6 +208,6 @@ fn errors_that_are_easily_made_lead_far_away() {
     }
     assert_eq!(
         right.image_layout(40, 24).unwrap(),
-        features(run.features.clone()).layout
+        features(run.features.clone()).layouts[0]
     );
 }

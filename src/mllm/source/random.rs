@@ -85,6 +85,11 @@ impl TensorSource for RandomTensors {
         }
     }
 
+    // As of a weight file, so that a model of random weights needs no more memory than another.
+    fn reads_parts(&self) -> bool {
+        true
+    }
+
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
         hasher.update(&self.seed.to_le_bytes());
         Ok(())

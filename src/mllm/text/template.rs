@@ -79,15 +79,16 @@ impl ChatTemplate {
         Ok(())
     }
 
-    /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
+    /// Renders a chat that ends with `prompt` and the beginning of the model's answer. `images` has
+    /// the turn of each image, from 0.
     pub(crate) fn render(
         &self,
         system: &str,
-        image: bool,
+        images: &[usize],
         turns: &[Turn],
         prompt: &str,
     ) -> Result<String, MllmError> {
-        self.render_as(self.content, system, image, turns, prompt)
+        self.render_as(self.content, system, images, turns, prompt)
             .map_err(|error| failure(&self.path, &error))
     }
 
@@ -95,27 +96,28 @@ impl ChatTemplate {
         &self,
         content: Content,
         system: &str,
-        image: bool,
+        images: &[usize],
         turns: &[Turn],
         prompt: &str,
     ) -> Result<String, Error> {
         let mut messages = Vec::with_capacity(2 * turns.len() + 2);
-        let mut say = |role: &str, image, text: &str| {
-            messages.push(context! { role, content => self.content(content, image, text) });
+        let mut say = |role: &str, images, text: &str| {
+            messages.push(context! { role, content => self.content(content, images, text) });
         };
+        let of_turn = |index: usize| images.iter().filter(|turn| **turn == index).count();
         if !system.is_empty() {
-            say("system", false, system);
+            say("system", 0, system);
         }
         for (index, turn) in turns.iter().enumerate() {
-            say("user", image && index == 0, &turn.prompt);
+            say("user", of_turn(index), &turn.prompt);
             // An answer with the placeholder's name must not add an image to the chat.
             let answer = match &self.image_token {
                 Some(token) => turn.answer.replace(token, ""),
                 None => turn.answer.clone(),
             };
-            say("assistant", false, &answer);
+            say("assistant", 0, &answer);
         }
-        say("user", image && turns.is_empty(), prompt);
+        say("user", of_turn(turns.len()), prompt);
         let special = Value::from_pairs(
             self.special
                 .iter()
@@ -132,20 +134,18 @@ impl ChatTemplate {
         self.engine.render(NAME, chat, bytes)
     }
 
-    fn content(&self, content: Content, image: bool, text: &str) -> Value {
+    fn content(&self, content: Content, images: usize, text: &str) -> Value {
         match content {
             Content::Parts => {
-                let mut parts = Vec::with_capacity(2);
-                if image {
-                    parts.push(context! { type => "image" });
-                }
-                parts.push(context! { type => "text", text });
-                Value::from(parts)
+                let images = (0..images).map(|_| context! { type => "image" });
+                let text = context! { type => "text", text };
+                Value::from(images.chain([text]).collect::<Vec<_>>())
             }
-            Content::Text => match self.image_token.as_ref().filter(|_| image) {
-                Some(token) => Value::from(format!("{token}\n{text}")),
-                None => Value::from(text),
-            },
+            Content::Text => {
+                let token = self.image_token.as_ref();
+                let mark = token.map_or_else(String::new, |token| format!("{token}\n"));
+                Value::from(mark.repeat(images) + text)
+            }
         }
     }
 
@@ -166,7 +166,8 @@ impl ChatTemplate {
         };
         let mut last = None;
         for content in forms {
-            match self.render_as(content, "", sees, &[], PROBE) {
+            let shown: &[usize] = if sees { &[0] } else { &[] };
+            match self.render_as(content, "", shown, &[], PROBE) {
                 // A template for texts can print the list itself, so the output must not contain
                 // the keys of the parts.
                 Ok(text)
@@ -374,12 +375,16 @@ mod tests {
             answer: "two".into(),
         }];
         assert_eq!(
-            template.render("Drive.", true, &turns, "three").unwrap(),
+            template.render("Drive.", &[0], &turns, "three").unwrap(),
             "Drive. USER: <image>\none ASSISTANT: two USER: three ASSISTANT:"
         );
         assert_eq!(
-            template.render("", false, &[], "one").unwrap(),
+            template.render("", &[], &[], "one").unwrap(),
             "USER: one ASSISTANT:"
+        );
+        assert_eq!(
+            template.render("", &[0, 1, 1], &turns, "three").unwrap(),
+            "USER: <image>\none ASSISTANT: two USER: <image>\n<image>\nthree ASSISTANT:"
         );
     }
 
@@ -394,7 +399,7 @@ mod tests {
             prompt: text.into(),
             answer: "b".into(),
         });
-        assert_eq!(template.render("s", false, &turns, "d").unwrap(), "a;b;");
+        assert_eq!(template.render("s", &[], &turns, "d").unwrap(), "a;b;");
         assert!(open("{% break %}").is_err());
     }
 
@@ -403,8 +408,12 @@ mod tests {
         let template =
             open("{{ bos_token }}{% for m in messages %}[{{ m.role }}] {{ m.content | trim }}\n{% endfor %}").unwrap();
         assert_eq!(
-            template.render("s", true, &[], "hello ").unwrap(),
+            template.render("s", &[0], &[], "hello ").unwrap(),
             "<s>[system] s\n[user] <image>\nhello\n"
+        );
+        assert_eq!(
+            template.render("", &[0, 0], &[], "hello").unwrap(),
+            "<s>[user] <image>\n<image>\nhello\n"
         );
     }
 

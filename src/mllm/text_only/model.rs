@@ -72,10 +72,10 @@ impl ChatFormat for TextFormat {
     }
 
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
-        if chat.image.is_some() {
+        if !chat.images.is_empty() {
             return Err(no_picture());
         }
-        let rendered = self.0.render(chat.system, false, chat.turns, chat.prompt)?;
+        let rendered = self.0.render(chat.system, &[], chat.turns, chat.prompt)?;
         tokenizer.encode_chat(&rendered)
     }
 }

@@ -3,7 +3,7 @@
 
 use super::TrialRequest;
 use super::child::Line;
-use crate::family::Chat;
+use crate::family::{Chat, ChatImage};
 use crate::local::end_tokens;
 use crate::source::Checkpoint;
 use crate::text::{ChatTokenizer, GrammarEngine};
@@ -93,7 +93,8 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
     }
     begins("the chat template");
     let format = model.chat_format(&checkpoint.files, &tokenizer)?;
-    let image = model.drawn_layout().ok().flatten();
+    let image = model.drawn_layout().ok().flatten().map(ChatImage::first);
+    let image: Vec<ChatImage> = image.into_iter().collect();
     let turns: Vec<Turn> = texts
         .iter()
         .rev()
@@ -103,13 +104,13 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
         })
         .take(MAX_TURNS)
         .collect();
-    for (system, image) in [("", None), ("", image), (PHRASES[0], image)] {
+    for (system, images) in [("", &[][..]), ("", &image), (PHRASES[0], &image)] {
         for prompt in &texts {
             let _ = format.ids(
                 &tokenizer,
                 &Chat {
                     system,
-                    image,
+                    images,
                     turns: &[],
                     prompt,
                 },
@@ -121,7 +122,7 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
                 &tokenizer,
                 &Chat {
                     system,
-                    image,
+                    images,
                     turns,
                     prompt: PHRASES[1],
                 },

@@ -97,7 +97,7 @@ fn logits(folder: &Path, quantize: Option<WeightFormat>, ids: &[u32]) -> (Tensor
         tokens: ids.iter().copied().map(Some).collect(),
         positions: Positions::plain(0..ids.len() as u32).rotary,
         prompt_end: 0,
-        vision: 0..0,
+        vision: Vec::new(),
         deep: Vec::new(),
     };
     let logits = decoder.forward(&input, &mut decoder.new_cache(ids.len()), Logits::All);

@@ -78,7 +78,7 @@ fn test_logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
     let image = image::RgbImage::from_raw(32, 32, noise(7, 3 * 32 * 32)).unwrap();
     let features = model.encode_image(&image).unwrap();
     let mut ids = vec![1, 5];
-    let tokens = std::iter::repeat_n(model.info().image_token, features.layout.tokens);
+    let tokens = std::iter::repeat_n(model.info().image_token, features.tokens());
     ids.extend(tokens.chain([7, 8, 9]));
     let logits = Sequence::new(model).append(model, &ids, Some(&features), Logits::All);
     logits
