@@ -32,7 +32,8 @@ use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent_scenario::nuplan::{FilterFile, MapStore};
 use planagent_scenario::{DataRoots, Readers};
 use planagent_world::{ObjectKind, Scene};
-use std::cell::OnceCell;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -266,32 +267,44 @@ fn lane_graph_text(bytes: &[u8]) -> bool {
     true
 }
 
-/// A copy of a small model, made once; a target writes one of its files again for each input.
-fn tiny_model() -> Option<PathBuf> {
+/// A small model of each family whose folders have configurations of their own.
+const TINY: [&str; 9] = [
+    "tiny_llava",
+    "tiny_qwen2_vl",
+    "tiny_llava_onevision",
+    "tiny_qwen3_5",
+    "tiny_lfm2_vl",
+    "tiny_gemma3",
+    "tiny_gemma3n_vision",
+    "tiny_gemma4",
+    "tiny_smolvlm",
+];
+
+/// The copy of a small model, made once; a target writes one of its files again for each input.
+fn tiny_model(name: &'static str) -> Option<PathBuf> {
     thread_local! {
-        static MODEL: OnceCell<Option<TempDir>> = const { OnceCell::new() };
+        static MODELS: RefCell<BTreeMap<&'static str, TempDir>> = const { RefCell::new(BTreeMap::new()) };
     }
-    MODEL.with(|model| {
-        let copied = model.get_or_init(|| {
-            let tiny = of_project("tests/fixtures/tiny_llava")?;
+    let tiny = of_project(&format!("tests/fixtures/{name}"))?;
+    MODELS.with_borrow_mut(|models| {
+        let copied = models.entry(name).or_insert_with(|| {
             let model = TempDir::new().expect("a folder for files");
-            for entry in fs::read_dir(tiny)
-                .expect("the fixture can be read")
-                .flatten()
-            {
+            let entries = fs::read_dir(tiny).expect("the fixture can be read");
+            let files = entries.flatten().filter(|entry| entry.path().is_file());
+            for entry in files {
                 fs::copy(entry.path(), model.path().join(entry.file_name()))
                     .expect("a fixture can be copied");
             }
-            Some(model)
+            model
         });
-        copied.as_ref().map(|folder| folder.path().to_owned())
+        Some(copied.path().to_owned())
     })
 }
 
 /// A model folder with this chat template: the template is reached only where all else is as it
 /// should be.
 fn chat_template(bytes: &[u8]) -> bool {
-    let Some(model) = tiny_model() else {
+    let Some(model) = tiny_model(TINY[0]) else {
         return false;
     };
     let file = model.join("chat_template.jinja");
@@ -302,7 +315,7 @@ fn chat_template(bytes: &[u8]) -> bool {
     fits
 }
 
-/// The tiny model in which one file has these bytes; the first byte chooses it.
+/// A tiny model in which one file has these bytes; the first byte chooses model and file.
 fn model_file(bytes: &[u8]) -> bool {
     const FILES: [&str; 6] = [
         "config.json",
@@ -312,10 +325,14 @@ fn model_file(bytes: &[u8]) -> bool {
         "planagent.json",
         "model.safetensors.index.json",
     ];
-    let (Some((choice, rest)), Some(model)) = (bytes.split_first(), tiny_model()) else {
+    let Some((choice, rest)) = bytes.split_first() else {
         return false;
     };
-    let file = model.join(FILES[usize::from(*choice) % FILES.len()]);
+    let choice = usize::from(*choice);
+    let Some(model) = tiny_model(TINY[choice / FILES.len() % TINY.len()]) else {
+        return false;
+    };
+    let file = model.join(FILES[choice % FILES.len()]);
     let kept = fs::read(&file).ok();
     fs::write(&file, rest).expect("a file can be written");
     let place = ModelPlace::Folder(model.clone());
@@ -569,7 +586,7 @@ fn with_weights(
     use_model: impl Fn(&Path) -> bool,
 ) -> bool {
     let (config, header) = parts(written);
-    let Some(model) = tiny_model() else {
+    let Some(model) = tiny_model(TINY[0]) else {
         return false;
     };
     let kept = ["config.json", "model.safetensors"]
@@ -615,7 +632,7 @@ fn write_weights(path: &Path, header: &str, most: u64, pieces: &[(u64, Vec<u8>)]
 fn adapter(bytes: &[u8]) -> bool {
     /// Bytes of a file of weights; it is sparse.
     const MAX_WEIGHTS: u64 = 1 << 34;
-    let Some(model) = tiny_model() else {
+    let Some(model) = tiny_model(TINY[0]) else {
         return false;
     };
     let folder = match as_text(bytes) {

@@ -146,8 +146,8 @@ pub struct ProbeQuestion {
 pub struct PromptPrefix {
     /// The system prompt; empty for none.
     pub system: String,
-    /// The image of the first user turn, before its text. It is resized as the model's preprocessor
-    /// says.
+    /// The image of the first user turn, before its text; [`Conversation::show`] adds further ones.
+    /// It is resized as the model's preprocessor says.
     pub image: Option<Arc<RgbImage>>,
 }
 

@@ -230,6 +230,7 @@ fn inactive_file(stat: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::families::Families;
     use crate::family::ImageSettings;
     use crate::local::test_reference::{fixture, open_checkpoint};
 
@@ -281,6 +282,19 @@ mod tests {
         assert_eq!(weights.largest_reading(None), (4 + 4) * kernel);
         let rounded = weights.largest_reading(Some(WeightFormat::F16));
         assert_eq!(rounded, (4 + 4 + 2) * embedding);
+    }
+
+    /// The table of layers has half of the numbers, and is never whole beside the weights.
+    #[test]
+    fn a_described_model_needs_little_beside_its_weights() {
+        let shape = crate::ModelShape::find("gemma-3n-e2b").unwrap();
+        let checkpoint = shape.checkpoint(&Families::default()).unwrap();
+        let decoder = checkpoint.decoder_config().unwrap();
+        let picture = PictureNeed::estimate(&checkpoint, ImageSettings::default());
+        for quantize in [WeightFormat::Q4K, WeightFormat::F16] {
+            let need = MemoryNeed::estimate(&checkpoint, &decoder, picture, Some(quantize), None);
+            assert!(need.work + need.picture < need.weights / 4, "{need:?}");
+        }
     }
 
     #[test]
