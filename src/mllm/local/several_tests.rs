@@ -187,7 +187,7 @@ impl Several {
 }
 
 /// Families with what transformers computes of several images.
-const FOLDERS: [&str; 9] = [
+const FOLDERS: [&str; 10] = [
     "tiny_llava_onevision",
     "tiny_qwen2_vl",
     "tiny_qwen2_5_vl",
@@ -197,6 +197,7 @@ const FOLDERS: [&str; 9] = [
     "tiny_internvl3",
     "tiny_gemma3",
     "tiny_gemma4",
+    "tiny_lfm2_vl",
 ];
 
 #[test]
