@@ -25,6 +25,8 @@ mod determinism_tests;
 #[cfg(test)]
 mod likeliest_tests;
 #[cfg(test)]
+mod memory_tests;
+#[cfg(test)]
 mod odd_folder_tests;
 #[cfg(test)]
 mod outside_tests;
