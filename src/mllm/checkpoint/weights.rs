@@ -343,7 +343,7 @@ impl Weights {
         }
         if self.looked(name, shape, MAX_TENSOR)? {
             return Ok(
-                Tensor::zeros(1, candle_core::DType::F32, &Device::Cpu)?.broadcast_as(shape)?
+                Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?.broadcast_as(shape)?
             );
         }
         let stored = self.remove(name, shape)?;

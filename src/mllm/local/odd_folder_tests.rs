@@ -433,6 +433,31 @@ fn a_web_page_in_place_of_a_file_is_called_one() {
     }
 }
 
+/// A check has tensors without numbers, some of them without a side.
+#[test]
+fn folders_of_all_families_have_no_problem() {
+    for model in [
+        "tiny_llava",
+        "tiny_llava_next",
+        "tiny_cogvlm",
+        "tiny_smolvlm",
+        "tiny_internvl3",
+        "tiny_qwen2_vl",
+        "tiny_qwen2_5_vl",
+        "tiny_qwen3_vl",
+        "tiny_qwen3_5",
+        "tiny_llava_onevision",
+        "tiny_lfm2_vl",
+        "tiny_gemma3",
+        "tiny_gemma3n_vision",
+        "tiny_gemma4",
+    ] {
+        let place = ModelPlace::Folder(fixture(model));
+        let problems = LocalModel::check(&place, &Loading::default()).problems;
+        assert!(problems.is_empty(), "{model}: {problems:?}");
+    }
+}
+
 /// One rule for all families: the embedding stands in for an output layer that the files lack.
 #[test]
 fn a_missing_output_layer_is_the_embedding_and_is_noted() {
