@@ -133,6 +133,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["sample"],
             &[
+                "agent_tables",
                 "commands",
                 "event",
                 "machine",

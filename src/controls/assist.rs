@@ -128,6 +128,7 @@ impl Search<'_> {
             .into_iter()
             .collect();
         let mut most = tried.first().map_or(f64::NEG_INFINITY, |own| own.value);
+        // From the best so far on, since the parameters act together.
         for vary in VARIATIONS {
             let from = best;
             for parameters in vary(from, limit) {

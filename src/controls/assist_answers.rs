@@ -151,11 +151,15 @@ mod tests {
 
     #[test]
     fn a_brake_ends_at_a_standstill() {
-        assert_eq!(driven(6.0, -3.0, 1.0), 4.5);
-        assert_eq!(driven(6.0, -3.0, 2.0), 6.0);
-        assert_eq!(driven(6.0, -3.0, 4.0), 6.0);
-        assert_eq!(driven(6.0, 1.0, 2.0), 14.0);
-        assert_eq!(driven(0.0, -3.0, 2.0), 0.0);
+        for (speed, acceleration, seconds, meters) in [
+            (6.0, -3.0, 1.0, 4.5),
+            (6.0, -3.0, 2.0, 6.0),
+            (6.0, -3.0, 4.0, 6.0),
+            (6.0, 1.0, 2.0, 14.0),
+            (0.0, -3.0, 2.0, 0.0),
+        ] {
+            assert!((driven(speed, acceleration, seconds) - meters).abs() < 1e-12);
+        }
     }
 
     #[test]
@@ -166,11 +170,11 @@ mod tests {
             assert!(varied.iter().any(|other| *other != own));
             for other in varied {
                 let changed = [
-                    other.speed_cap != own.speed_cap,
-                    other.min_gap != own.min_gap,
-                    other.headway != own.headway,
-                    other.accel_max != own.accel_max,
-                    other.decel_max != own.decel_max,
+                    other.speed_cap.to_bits() != own.speed_cap.to_bits(),
+                    other.min_gap.to_bits() != own.min_gap.to_bits(),
+                    other.headway.to_bits() != own.headway.to_bits(),
+                    other.accel_max.to_bits() != own.accel_max.to_bits(),
+                    other.decel_max.to_bits() != own.decel_max.to_bits(),
                     other.emergency_brake != own.emergency_brake,
                 ];
                 assert!(changed.into_iter().filter(|&changed| changed).count() <= 1);

@@ -71,7 +71,9 @@ impl AgentSettings {
     #[must_use]
     pub fn changes(self, keys: &AgentKeys) -> Self {
         Self {
-            interval_s: self.interval_s.filter(|set| *set != keys.interval_s),
+            interval_s: self
+                .interval_s
+                .filter(|set| set.total_cmp(&keys.interval_s).is_ne()),
             max_tokens: self.max_tokens.filter(|set| *set != keys.max_tokens),
             examples: self.examples.filter(|set| Some(*set) != keys.examples),
             memory: self.memory,

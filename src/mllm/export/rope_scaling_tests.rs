@@ -5,7 +5,7 @@ use super::round_trip_tests::{edit, export};
 use crate::checkpoint::read_json;
 use crate::decoder::Logits;
 use crate::families::Families;
-use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::family::{ImageFeatures, ImageLayout, VisionLanguageModel};
 use crate::gguf::FILE;
 use crate::local::Sequence;
 use crate::local::test_reference::{LOGIT_TOLERANCE, Reference, difference, fixture, greedy};
@@ -112,10 +112,16 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// The layouts of its pictures; none of a text.
+    fn layouts(&self) -> &[ImageLayout] {
+        self.features
+            .as_ref()
+            .map_or(&[], |features| &features.layouts)
+    }
+
     /// The logits of the whole prompt, computed in pieces.
     fn logits(&self, sequence: &mut Sequence, pieces: &[usize]) -> Tensor {
-        let layouts = self.features.as_ref().map(|features| &*features.layouts);
-        let kept = sequence.begin(self.model, &self.ids, layouts.unwrap_or_default());
+        let kept = sequence.begin(self.model, &self.ids, self.layouts());
         assert_eq!(kept, 0);
         let (mut rest, mut rows) = (self.ids.as_slice(), Vec::new());
         for piece in pieces.iter().copied().chain([self.ids.len()]) {
@@ -146,8 +152,7 @@ impl<'a> Run<'a> {
         assert!(found < LOGIT_TOLERANCE, "{}: {found}", case.name);
         let expected = reference.ids(&format!("{}.generated", case.name), 0);
         let mut sequence = Sequence::new(self.model);
-        let layouts = self.features.as_ref().map(|features| &*features.layouts);
-        sequence.begin(self.model, &self.ids, layouts.unwrap_or_default());
+        sequence.begin(self.model, &self.ids, self.layouts());
         let count = expected.len();
         let features = self.features.as_ref();
         let found = greedy(self.model, &mut sequence, &self.ids, features, count);

@@ -41,6 +41,7 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(
 ) -> Result<LanguageAgentSettings, D::Error> {
     let tables = BTreeMap::<String, AgentSettings>::deserialize(deserializer)?;
     let agents = language_agents();
+    // serde cannot derive this: the agents are those of a registry.
     let of_agent = |(key, set): (String, AgentSettings)| {
         let is_own = |keys: &&AgentKeys| LanguageAgentSettings::key(keys.planner) == key;
         let Some(keys) = agents.iter().find(is_own) else {
@@ -73,13 +74,17 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(
 /// # Errors
 /// When a value cannot be written as TOML.
 pub fn agent_tables(settings: &LanguageAgentSettings) -> Result<String, toml::ser::Error> {
-    let mut text = String::new();
-    for keys in language_agents() {
-        let whole = settings.of(keys.planner).whole(&keys);
-        let key = LanguageAgentSettings::key(keys.planner);
-        text += &format!("[language_agents.{key}]\n{}", toml::to_string(&whole)?);
-    }
-    Ok(text)
+    language_agents()
+        .iter()
+        .map(|keys| {
+            let whole = settings.of(keys.planner).whole(keys);
+            let key = LanguageAgentSettings::key(keys.planner);
+            Ok(format!(
+                "[language_agents.{key}]\n{}",
+                toml::to_string(&whole)?
+            ))
+        })
+        .collect()
 }
 
 #[cfg(test)]
