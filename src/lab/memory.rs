@@ -78,7 +78,7 @@ pub fn fill_from_logs(filler: &MemoryFiller, training: Training) -> Option<Fille
         item,
     };
     let of_scenario = |source: &ScenarioRef| match source.open() {
-        Ok(log) => (instants.of(&log), None),
+        Ok(log) => (instants.items(&log), None),
         Err(error) => (
             Vec::new(),
             Some(format!("{source}: {}", with_causes(&error))),
@@ -95,7 +95,7 @@ pub fn fill_from_logs(filler: &MemoryFiller, training: Training) -> Option<Fille
 
 impl Instants {
     /// The items of a log.
-    fn of(self, log: &Scenario) -> Vec<Value> {
+    fn items(self, log: &Scenario) -> Vec<Value> {
         let egos: Vec<EgoState> = log
             .frames
             .iter()
@@ -171,7 +171,7 @@ pub fn fill_from_drives(
             challenge: Challenge::NonReactive,
         })
         .collect();
-    let settings = parts.settings.language_agents.of(name);
+    let settings = parts.settings.language_agents.agent(name);
     let (mut items, mut notes) = (Vec::new(), Vec::new());
     for record in driven(&tasks, parts, on_drive) {
         let outcome = match record.outcome {

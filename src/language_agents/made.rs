@@ -35,7 +35,7 @@ pub(crate) struct Agent {
 /// The agent with its prompts.
 fn made<A: ChatAgent>(parts: Parts<A>, settings: &PlanAgentSettings) -> Result<A, PlannerError> {
     let prompts = (parts.prompts)().map_err(ReasoningError::from)?;
-    let set = settings.language_agents.of(parts.keys.planner);
+    let set = settings.language_agents.agent(parts.keys.planner);
     (parts.make)(set, Arc::new(prompts)).map_err(|error| PlannerError::Failed {
         doing: "opening the memory",
         source: Box::new(error),
@@ -87,7 +87,7 @@ fn read_texts<A: ChatAgent>(
 ) -> BTreeMap<String, String> {
     let mut digests =
         (of.prompts)().map_or_else(|_| BTreeMap::new(), |prompts| prompts.digests().clone());
-    let memory = settings.language_agents.of(of.keys.planner).memory;
+    let memory = settings.language_agents.agent(of.keys.planner).memory;
     digests.extend(memory.and_then(|file| digest(&file).map(|digest| (file, digest))));
     digests
 }

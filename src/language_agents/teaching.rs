@@ -79,7 +79,7 @@ pub(crate) struct Teaching {
 
 impl Teaching {
     /// That of an agent.
-    pub(crate) fn of<A: Taught + 'static>(parts: Parts<A>) -> Self {
+    pub(crate) fn from_parts<A: Taught + 'static>(parts: Parts<A>) -> Self {
         Self {
             name: parts.keys.planner,
             open: Box::new(move || Teacher::from_parts(parts)),

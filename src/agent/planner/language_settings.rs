@@ -110,7 +110,7 @@ impl LanguageAgentSettings {
     }
 
     /// What is set for an agent, by its name as a planner.
-    pub fn of(&self, planner: &str) -> AgentSettings {
+    pub fn agent(&self, planner: &str) -> AgentSettings {
         self.0.get(&Self::key(planner)).cloned().unwrap_or_default()
     }
 

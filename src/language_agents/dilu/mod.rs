@@ -116,7 +116,7 @@ pub(crate) fn agent() -> Agent {
             best_action,
         ),
         texts: DESCRIBED,
-        teaching: Some(Teaching::of(PARTS)),
+        teaching: Some(Teaching::from_parts(PARTS)),
         filler: Some(MemoryFiller {
             keys: KEYS,
             about: "decisions of drives by the model, and its lesson of an accident",

@@ -92,7 +92,7 @@ pub(crate) fn agent() -> Agent {
             best_waypoints,
         ),
         texts: DESCRIBED,
-        teaching: Some(Teaching::of(PARTS)),
+        teaching: Some(Teaching::from_parts(PARTS)),
         filler: None,
     }
 }

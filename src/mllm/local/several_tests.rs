@@ -327,9 +327,9 @@ impl<'a> Chatting<'a> {
     }
 }
 
-/// Whatever was asked and taken back before, a chat has the answer of one that was begun anew.
+/// Whatever was asked and rewound before, a chat has the answer of one that has just begun.
 #[test]
-fn images_are_shown_and_taken_back() {
+fn images_are_shown_and_rewound() {
     for name in FOLDERS {
         let several = Several::open(name);
         let [first, second] = [&several.images[0], &several.images[1]];
@@ -362,7 +362,7 @@ fn images_are_shown_and_taken_back() {
         chat.conversation.rewind(start);
         assert_eq!(chat.ids(0), one, "{name}: without the second");
         chat.conversation.rewind(start);
-        // Another image of the same size in the place of one that is taken back.
+        // Another image of the same size in the place of one that was rewound.
         chat.show(second);
         chat.ask(0);
         chat.conversation.rewind(start);

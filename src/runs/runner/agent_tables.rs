@@ -18,7 +18,7 @@ pub(super) fn is_default(settings: &LanguageAgentSettings) -> bool {
     settings.set().is_empty()
         || language_agents()
             .iter()
-            .all(|keys| settings.of(keys.planner).changes(keys) == AgentSettings::default())
+            .all(|keys| settings.agent(keys.planner).changes(keys) == AgentSettings::default())
 }
 
 /// Writes every key that has a value.
@@ -29,7 +29,7 @@ pub(super) fn serialize<S: Serializer>(
     let agents = language_agents();
     let mut tables = serializer.serialize_map(Some(agents.len()))?;
     for keys in &agents {
-        let whole = settings.of(keys.planner).whole(keys);
+        let whole = settings.agent(keys.planner).whole(keys);
         tables.serialize_entry(&LanguageAgentSettings::key(keys.planner), &whole)?;
     }
     tables.end()
@@ -77,7 +77,7 @@ pub fn agent_tables(settings: &LanguageAgentSettings) -> Result<String, toml::se
     language_agents()
         .iter()
         .map(|keys| {
-            let whole = settings.of(keys.planner).whole(keys);
+            let whole = settings.agent(keys.planner).whole(keys);
             let key = LanguageAgentSettings::key(keys.planner);
             Ok(format!(
                 "[language_agents.{key}]\n{}",

@@ -537,27 +537,29 @@ fn a_taper_belongs_to_the_stretch_that_it_blocks() {
 
 #[test]
 fn what_the_ego_has_passed_blocks_its_lane_no_more() {
-    // A car that broke down 25 m ahead. The ego's rear bumper is past it by a gap, and the ego that
-    // far aside.
-    let road = || sketch::straight(1, 1, 0, 8.0).put(Vehicle, 25.0, 0.0, 0.3, 0.0);
-    let before = graph(&road());
-    let to_s = before.blocked.unwrap().to_s;
+    // The ego's rear bumper is past a car that broke down by a gap, and the ego that far aside.
     let is_blocked = |gap: f64, aside: f64| {
-        let mut drawn = road();
-        let ahead = to_s + gap + PACIFICA.length() / 2.0 - before.ego_lane().ego_s;
-        let (rear_axle, velocity) = (
-            drawn.ego.rear_axle.translated(ahead, aside),
-            drawn.ego.velocity,
-        );
-        drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
-        let graph = with_oncoming(&drawn);
-        assert_eq!(graph.stop_point().is_some(), graph.blocked.is_some());
+        let front_of_car = 25.0 + Vehicle.default_size().0 / 2.0;
+        let scene = Scene::builder()
+            .lane([[-100.0, 0.0], [300.0, 0.0]])
+            .lane([[300.0, 3.5], [-100.0, 3.5]])
+            .ego(
+                [front_of_car + gap + PACIFICA.length() / 2.0, aside],
+                0.0,
+                8.0,
+            )
+            .vehicle([25.0, 0.0], 0.0, 0.0)
+            .route([0])
+            .build()
+            .unwrap();
+        let view = scene.view();
+        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         graph.blocked.is_some()
     };
-    assert!(is_blocked(-0.5, 2.8), "beside it");
-    assert!(is_blocked(0.5, 2.8), "too near to come back");
-    assert!(!is_blocked(1.5, 2.8), "there is room to come back");
-    assert!(!is_blocked(15.0, 2.8), "far behind");
+    assert!(is_blocked(-0.5, 2.9), "beside it");
+    assert!(is_blocked(0.5, 2.9), "too near to come back");
+    assert!(!is_blocked(1.5, 2.9), "there is room to come back");
+    assert!(!is_blocked(15.0, 2.9), "far behind");
     assert!(!is_blocked(0.5, 0.0), "back in its lane");
 }
 

@@ -32,7 +32,7 @@ impl AssistDrive {
     /// # Errors
     /// When the state of the ego is not finite.
     pub fn begin(&mut self, answer: &Assistance, ego: &EgoState) -> Result<(), TrajectoryError> {
-        self.active = Some(Assisted::of(answer, ego)?);
+        self.active = Some(Assisted::from_answer(answer, ego)?);
         Ok(())
     }
 

@@ -85,7 +85,7 @@ pub enum Assisted {
 
 impl Assisted {
     /// What an answer stands for at the present state of the ego.
-    fn of(assistance: &Assistance, ego: &EgoState) -> Result<Self, TrajectoryError> {
+    fn from_answer(assistance: &Assistance, ego: &EgoState) -> Result<Self, TrajectoryError> {
         Ok(match assistance {
             Assistance::Waypoints(list) => Self::Plan(waypoints::through(ego, list)?),
             Assistance::Parameters(parameters) => Self::Parameters(tuned(*parameters)),
@@ -350,7 +350,7 @@ impl Question for AssistCall<'_> {
 
     fn try_out(&mut self, assistance: Assistance) -> Result<Option<Trial<Assisted>>, PlannerError> {
         let ego = self.scene.ego;
-        let plan = Assisted::of(&assistance, ego)?;
+        let plan = Assisted::from_answer(&assistance, ego)?;
         let (path, states): (Vec<Pose>, Vec<EgoState>) = match &plan {
             Assisted::Plan(trajectory) => {
                 let states = trajectory.states().iter().take(PROPOSAL_STEPS + 1);
