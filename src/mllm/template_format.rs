@@ -111,10 +111,15 @@ impl TemplateFormat {
         if found != expected {
             return Err(MllmError::ImagePlaceholder { expected, found });
         }
-        let mut texts = images.iter().map(|image| text_of(image.layout));
-        let parts = rendered.split(&self.mark).map(str::to_owned);
-        let whole: String = parts
-            .flat_map(|part| [part, texts.next().unwrap_or_default()])
+        // Behind the last mark there is text alone.
+        let texts = images
+            .iter()
+            .map(|image| text_of(image.layout))
+            .chain([String::new()]);
+        let whole: String = rendered
+            .split(&self.mark)
+            .zip(texts)
+            .flat_map(|(part, text)| [part.to_owned(), text])
             .collect();
         let ids = tokenizer.encode_chat(&whole)?;
         let tokens = images.iter().map(|image| image.layout.tokens).sum();

@@ -111,7 +111,9 @@ impl LanguageAgentSettings {
 
     /// What is set for an agent, by its name as a planner.
     pub fn agent(&self, planner: &str) -> AgentSettings {
-        self.0.get(&Self::key(planner)).cloned().unwrap_or_default()
+        self.0
+            .get(&Self::key(planner))
+            .map_or_else(AgentSettings::default, Clone::clone)
     }
 
     /// The same, to set more.
