@@ -175,7 +175,7 @@ pub(super) fn agent_memory(bytes: &[u8]) -> bool {
     } else {
         AGENTS[2]
     };
-    agents.of_mut(agent).memory = file;
+    agents.agent_mut(agent).memory = file;
     let entry = entries().find(|entry| entry.name.as_str() == agent);
     let opened = entry.is_some_and(|entry| entry.prepare(&settings).is_ok());
     if opened {

@@ -4,7 +4,8 @@
 //! its codes.
 
 use super::foresight::{self, Foresight};
-use super::search::{Candidate, HORIZON, best, highest, search_ahead, search_grid};
+use super::search::{Candidate, best, highest, search_ahead, search_grid};
+use super::trial::horizon;
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{AgentLayer, CodeCall, CodeList, CodeSource, Planner, fixed_code};
 use planagent_agent::planner_registry::PlannerEntry;
@@ -96,7 +97,6 @@ impl Foresight for CodeOracle {
     /// Hands the best code over. Near the end of the recording the search looks no further than
     /// that; where it finds nothing, the agent takes the fixed code.
     fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
-        let left = simulation.scenario().iterations() - 1 - simulation.iteration();
         let scene = simulation.scene();
         let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok();
         let graph = graph.map(|graph| {
@@ -106,7 +106,7 @@ impl Foresight for CodeOracle {
                 graph
             }
         });
-        let horizon = HORIZON.min(left);
+        let horizon = horizon(simulation);
         let (tried, best): (Vec<Candidate>, Choose) = match (graph, self.tries) {
             (None, _) => (Vec::new(), best),
             (Some(graph), Tried::Search) => (search_ahead(simulation, &graph, horizon), best),

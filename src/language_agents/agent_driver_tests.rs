@@ -102,7 +102,7 @@ fn the_experience_that_the_model_picks_stands_in_the_plan() {
     );
     std::fs::write(&file, serde_json::to_string(&memory).unwrap()).unwrap();
     let mut language_agents = LanguageAgentSettings::default();
-    language_agents.of_mut("agent-driver").memory = Some(file.to_str().unwrap().to_owned());
+    language_agents.agent_mut("agent-driver").memory = Some(file.to_str().unwrap().to_owned());
     let settings = PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()

@@ -146,7 +146,7 @@ fn memory_of(items: Vec<DiluItem>) -> (tempfile::TempDir, PlanAgentSettings) {
     let memory = Memory::new("dilu", "a test".to_owned(), items);
     std::fs::write(&file, serde_json::to_string(&memory).unwrap()).unwrap();
     let mut language_agents = LanguageAgentSettings::default();
-    language_agents.of_mut("dilu").memory = Some(file.to_str().unwrap().to_owned());
+    language_agents.agent_mut("dilu").memory = Some(file.to_str().unwrap().to_owned());
     let settings = PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()

@@ -53,6 +53,6 @@ pub struct LeftDrive<'a> {
 }
 
 /// An item as JSON.
-pub(crate) fn item(of: impl Serialize) -> Option<Value> {
-    serde_json::to_value(of).ok()
+pub(crate) fn item(value: impl Serialize) -> Option<Value> {
+    serde_json::to_value(value).ok()
 }

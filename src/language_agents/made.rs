@@ -43,51 +43,57 @@ fn made<A: ChatAgent>(parts: Parts<A>, settings: &PlanAgentSettings) -> Result<A
 }
 
 /// A planner that asks the configured model by prompts of its own.
-pub(crate) fn asking<A: ChatAgent + 'static>(summary: &'static str, of: Parts<A>) -> PlannerEntry {
+pub(crate) fn asking<A: ChatAgent + 'static>(
+    summary: &'static str,
+    agent_parts: Parts<A>,
+) -> PlannerEntry {
     let build = move |parts: &PlannerParts<'_>| -> Result<Box<dyn Planner>, PlannerError> {
         let source = Source::Model(asked_model(parts)?);
-        let agent = made(of, parts.settings)?;
+        let agent = made(agent_parts, parts.settings)?;
         let settings = parts.settings.clone();
         Ok(Box::new(LanguagePlanner::new(
             parts.name, agent, source, settings,
         )))
     };
     PlannerEntry::new(
-        PlannerName::new(of.keys.planner),
+        PlannerName::new(agent_parts.keys.planner),
         summary,
         PlannerNeeds::Model,
         build,
     )
     .refusing(|settings| (settings.agent.latency != Latency::None).then_some("agent.latency"))
     .needing_context(MIN_CONTEXT)
-    .with_keys(of.keys)
-    .prepared_by(move |settings| made(of, settings).map(|_| ()))
-    .reading(move |settings| read_texts(of, settings))
+    .with_keys(agent_parts.keys)
+    .prepared_by(move |settings| made(agent_parts, settings).map(|_| ()))
+    .reading(move |settings| read_texts(agent_parts, settings))
 }
 
 /// The same agent with a search in its model's place. It reads neither prompts nor a memory.
 pub(crate) fn handed<A: ChatAgent + 'static>(
     name: &'static str,
     summary: &'static str,
-    of: Parts<A>,
+    agent_parts: Parts<A>,
     find: oracle::Find<A>,
 ) -> PlannerEntry {
     let without_memory = move |settings: &PlanAgentSettings| {
         let mut settings = settings.clone();
         settings.language_agents = settings.language_agents.without_memories();
-        made(of, &settings)
+        made(agent_parts, &settings)
     };
     oracle::entry(name, summary, without_memory, find)
 }
 
 /// BLAKE3 of prompts and memory, by name. What cannot be read is left out: preparing says why.
 fn read_texts<A: ChatAgent>(
-    of: Parts<A>,
+    agent_parts: Parts<A>,
     settings: &PlanAgentSettings,
 ) -> BTreeMap<String, String> {
-    let mut digests =
-        (of.prompts)().map_or_else(|_| BTreeMap::new(), |prompts| prompts.digests().clone());
-    let memory = settings.language_agents.agent(of.keys.planner).memory;
+    let mut digests = (agent_parts.prompts)()
+        .map_or_else(|_| BTreeMap::new(), |prompts| prompts.digests().clone());
+    let memory = settings
+        .language_agents
+        .agent(agent_parts.keys.planner)
+        .memory;
     digests.extend(memory.and_then(|file| digest(&file).map(|digest| (file, digest))));
     digests
 }

@@ -299,7 +299,7 @@ fn answers_that_are_no_plan_are_counted_and_the_plan_goes_on() {
 pub(crate) fn asked_seldom() -> PlanAgentSettings {
     let mut language_agents = LanguageAgentSettings::default();
     for agent in entries().filter(PlannerEntry::needs_model) {
-        language_agents.of_mut(agent.name.as_str()).interval_s = Some(6.0);
+        language_agents.agent_mut(agent.name.as_str()).interval_s = Some(6.0);
     }
     PlanAgentSettings {
         language_agents,
@@ -416,7 +416,7 @@ fn an_oracle_drives_by_the_waypoints_of_the_best_codes() {
 #[test]
 fn intervals_are_those_of_the_settings() {
     let mut language_agents = LanguageAgentSettings::default();
-    language_agents.of_mut("gpt-driver").interval_s = Some(3.0);
+    language_agents.agent_mut("gpt-driver").interval_s = Some(3.0);
     let settings = PlanAgentSettings {
         language_agents,
         ..PlanAgentSettings::default()

@@ -92,10 +92,10 @@ impl AgentSettings {
         self.max_tokens.unwrap_or(keys.max_tokens)
     }
 
-    /// Remembered items in a prompt.
+    /// Remembered items in a prompt; 0 where users do not choose their number.
     #[doc(hidden)]
     pub fn examples(&self, keys: &AgentKeys) -> usize {
-        self.examples.or(keys.examples).unwrap_or_default()
+        self.examples.or(keys.examples).unwrap_or(0)
     }
 }
 
@@ -111,13 +111,11 @@ impl LanguageAgentSettings {
 
     /// What is set for an agent, by its name as a planner.
     pub fn agent(&self, planner: &str) -> AgentSettings {
-        self.0
-            .get(&Self::key(planner))
-            .map_or_else(AgentSettings::default, Clone::clone)
+        self.0.get(&Self::key(planner)).cloned().unwrap_or_default()
     }
 
     /// The same, to set more.
-    pub fn of_mut(&mut self, planner: &str) -> &mut AgentSettings {
+    pub fn agent_mut(&mut self, planner: &str) -> &mut AgentSettings {
         self.0.entry(Self::key(planner)).or_default()
     }
 
@@ -218,7 +216,7 @@ mod tests {
     #[test]
     fn an_oracle_has_the_settings_of_its_agent_and_other_planners_none() {
         let mut settings = LanguageAgentSettings::default();
-        settings.of_mut("some-driver").memory = Some("m.json".to_owned());
+        settings.agent_mut("some-driver").memory = Some("m.json".to_owned());
         assert_eq!(settings.clone().only("oracle-some-driver"), settings);
         assert_eq!(settings.clone().only("idm").set().len(), 0);
         let memories: Vec<_> = settings.memories().collect();

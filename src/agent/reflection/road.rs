@@ -1,12 +1,10 @@
 //! The road of a roll-out: what the plan follows, and where it stops.
 
 use super::rollout::{IdmPlan, LeadPolicy, MIN_GAP};
+use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
 use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector};
 use planagent_world::{PACIFICA, STEP_S, SceneView, SignalStatus, TrackedObject};
-
-/// Objects slower than this stand, m/s.
-const STANDING: f64 = 0.2;
 
 /// The lead object: arc length of its rear on the path, and its speed along the path.
 #[derive(Debug, Clone, Copy)]

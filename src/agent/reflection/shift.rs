@@ -1,14 +1,12 @@
 //! How far a plan keeps from the middle of its lane to pass what stands at the edge.
 
-use crate::environment::lane_graph::{MAX_SHIFT, swing};
+use crate::environment::lane_graph::{MAX_SHIFT, STANDING, swing};
 use planagent_world::geometry::{Corridor, Point, Polyline, Pose};
 use planagent_world::{LanePath, PACIFICA, SceneView, TrackedObject};
 
 /// Distance from what stands, meters.
 /// Why: docs/decisions/111-shift.md.
 const MARGIN: f64 = 0.3;
-/// Objects slower than this stand, m/s.
-pub(super) const STANDING: f64 = 0.2;
 /// Time ahead in which objects matter, seconds: Reflection's horizon.
 /// Why: docs/decisions/111-shift.md.
 const REACH_S: f64 = 4.0;

@@ -46,7 +46,7 @@ pub(crate) use oncoming::ONCOMING_SIGHT;
 pub use oncoming::{OncomingAgent, OncomingLane};
 pub use return_lane::ReturnLane;
 pub use standing::BlockedStretch;
-pub(crate) use standing::{MAX_SHIFT, swing};
+pub(crate) use standing::{MAX_SHIFT, STANDING, swing};
 
 use planagent_world::SceneView;
 use planagent_world::geometry::Point;
@@ -194,5 +194,7 @@ impl LaneGraph {
     }
 }
 
+#[cfg(test)]
+mod standing_tests;
 #[cfg(test)]
 mod tests;

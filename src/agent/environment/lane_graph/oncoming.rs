@@ -1,6 +1,6 @@
 //! The way past what blocks the ego's lane: over the lane against traffic beside it, and back.
 
-use super::standing::{CLEARANCE_BEHIND, edges};
+use super::standing::{CLEARANCE_BEHIND, STANDING, edges};
 use super::{BlockedStretch, Centerline, CenterlineName};
 use planagent_world::geometry::{Polyline, Vector, wrap_angle};
 use planagent_world::{LaneId, LanePath, ObjectKind, PACIFICA, SceneView};
@@ -32,8 +32,6 @@ const SPACING: f64 = 1.0;
 const HALF_LANE: f64 = 1.9;
 /// A vehicle that stands beside the middle of its lane by at most this is not parked, meters.
 const IN_MIDDLE: f64 = 0.6;
-/// Objects slower than this stand, m/s.
-const STANDING: f64 = 0.2;
 
 /// The way past what blocks the ego's lane.
 #[derive(Debug, Clone, PartialEq)]

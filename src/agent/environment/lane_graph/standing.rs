@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// Why: docs/decisions/117-scenes-with-a-way.md.
 pub(super) const PULL_OUT: f64 = 10.0;
 /// Objects slower than this stand, m/s.
-pub(super) const STANDING: f64 = 0.2;
+pub(crate) const STANDING: f64 = 0.2;
 /// An object that moved by more than this within the two seconds of history has only just stopped,
 /// meters.
 const MOVED: f64 = 0.3;

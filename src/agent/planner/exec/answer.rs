@@ -97,21 +97,21 @@ fn before_the_message(text: &str) -> String {
 /// The states of a `trajectory`.
 #[derive(Deserialize)]
 struct States {
-    #[allow(dead_code)]
+    #[expect(dead_code, reason = "serde checks it, and nobody reads it")]
     states: Vec<ExecState>,
 }
 
 /// The objects of `agents`.
 #[derive(Deserialize)]
 struct Objects {
-    #[allow(dead_code)]
+    #[expect(dead_code, reason = "serde checks it, and nobody reads it")]
     objects: Vec<ExecAgent>,
 }
 
 /// The text of an `error`.
 #[derive(Deserialize)]
 struct Message {
-    #[allow(dead_code)]
+    #[expect(dead_code, reason = "serde checks it, and nobody reads it")]
     message: String,
 }
 
