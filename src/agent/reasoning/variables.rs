@@ -37,7 +37,7 @@ pub(super) fn feedback(feedback: &Feedback) -> Value {
     context! {
         code => &feedback.code,
         score => feedback.score.map(rounded),
-        threshold => feedback.threshold,
+        threshold => (feedback.threshold * 100.0).round() / 100.0,
         parts => feedback.parts.iter().map(|(name, value)| (name.clone(), rounded(*value))).collect::<Vec<_>>(),
         errors => feedback.errors.iter().map(ToString::to_string).collect::<Vec<_>>(),
     }
@@ -76,8 +76,30 @@ mod tests {
     use crate::environment::CenterlineName;
     use crate::environment::bev::Palette;
     use crate::reasoning::call_parser::ParseError;
+    use crate::reasoning::{PromptSet, feedback_text};
     use minijinja::value::ValueKind;
     use std::collections::BTreeMap;
+
+    #[test]
+    fn a_plan_that_needs_no_change_of_lanes_is_said_in_words() {
+        let refused = Feedback {
+            code: None,
+            score: Some(1.0),
+            threshold: 1.0195,
+            parts: vec![("progress".to_owned(), 1.0)],
+            is_slow: false,
+            errors: Vec::new(),
+        };
+        for set in ["brief", "paper"] {
+            let prompts = PromptSet::open(set).unwrap();
+            let text = feedback_text(&prompts, &refused).unwrap();
+            let words = "own lane leads past what stands";
+            assert!(
+                text.contains(words) && !text.contains("is needed"),
+                "{text}"
+            );
+        }
+    }
 
     /// The call that the examples of docs/prompts.md are from, and one in which everything optional
     /// is missing.

@@ -159,7 +159,9 @@ fn told_apart(a: f64, b: f64) -> (String, String) {
 
 fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], higher: bool) -> String {
     let (score, threshold) = told_apart(report.score, report.threshold);
-    let needed = if higher {
+    let needed = if report.threshold > 1.0 {
+        "the threshold of a plan that leaves a lane in which the ego can pass what stands there"
+    } else if higher {
         "the threshold of a plan that begins a lane change or stays in a blocked lane"
     } else {
         "the threshold"
@@ -167,10 +169,13 @@ fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], higher: bool) -> 
     if report.verdict == Verdict::Execute {
         return format!("{score} is not below {threshold}, {needed}");
     }
-    format!(
-        "{score} is below {threshold}, {needed}: {}",
-        costs(metrics).join("; ")
-    )
+    let refused = format!("{score} is below {threshold}, {needed}");
+    let costs = costs(metrics);
+    if costs.is_empty() {
+        refused
+    } else {
+        format!("{refused}: {}", costs.join("; "))
+    }
 }
 
 /// What lowers the score, the largest cost first. Where a factor is 0, nothing else matters.
@@ -242,6 +247,19 @@ mod tests {
         time_to_collision: 1.0,
         comfort: 1.0,
     };
+
+    #[test]
+    fn a_whole_score_may_be_too_little_to_leave_the_lane() {
+        let refused = ReflectionReport {
+            threshold: 1.02,
+            verdict: Verdict::Rethink,
+            ..report(GOOD, 1.0)
+        };
+        assert_eq!(
+            Judgement::from_report(&refused, true).reason,
+            "1.00 is below 1.02, the threshold of a plan that leaves a lane in which the ego can pass what stands there"
+        );
+    }
 
     #[test]
     fn a_reason_names_what_costs_most_first() {
