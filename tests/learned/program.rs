@@ -3,6 +3,7 @@
 use super::vectors::{fixture, manifest_of, tensors};
 use assert_cmd::Command;
 use candle_core::Tensor;
+use planagent_agent::planner::PlanAgentSettings;
 use planagent_learned::dtpp::{Dtpp, DtppConfig};
 use planagent_learned::gameformer::{GameFormer, GameFormerConfig};
 use planagent_learned::gc_pgp::GcPgp;
@@ -25,6 +26,30 @@ fn refusal(command: &mut Command) -> String {
     let output = command.assert().code(2).get_output().clone();
     assert!(output.stdout.is_empty());
     String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn a_learned_planner_is_an_agent_of_the_library() {
+    let agent = |checkpoint: Option<&str>| {
+        let mut settings = PlanAgentSettings::default();
+        if let Some(file) = checkpoint {
+            settings.learned.set("plantf", file.to_owned());
+        }
+        planagent::Agent::builder()
+            .planner("plantf")
+            .settings(settings)
+            .build()
+    };
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/models/learned/plantf/model.safetensors"
+    );
+    let scenario = planagent::Scenario::open("generated/following_lane_with_lead/3").unwrap();
+    let challenge = planagent::Challenge::NonReactive;
+    let run = planagent::simulate(&scenario, &mut agent(Some(file)).unwrap(), challenge).unwrap();
+    assert!((0.0..=1.0).contains(&run.score()));
+    let error = agent(None).unwrap_err().to_string();
+    assert!(error.contains("plantf needs a checkpoint"), "{error}");
 }
 
 #[test]
