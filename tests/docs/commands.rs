@@ -198,6 +198,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights gemma-3n-e2b --quantize q4_k --calls brief --iterations 2",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent simulate --split generated-test14-hard --limit 2 --challenge reactive --threads 1 --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
         WEIGHTS,
     ),
