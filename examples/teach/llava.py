@@ -4,7 +4,7 @@
     python examples/teach/lora.py --data data/messages --model smolllava --out adapter
 
 The projector's numbers are random until it is trained. A special token of the language model that chats do not use becomes the place of
-the picture. Needs torch and transformers, and gguf for a GGUF file.
+the picture. Needs torch and transformers, and gguf and accelerate for a GGUF file.
 """
 
 import argparse

@@ -45,11 +45,12 @@ PROJECTOR = "multi_modal_projector"
 
 @dataclass
 class Chat:
-    """The tokens of a chat, which of them are learned, and its picture."""
+    """The tokens of a chat, which of them are learned, its picture, and how much it counts."""
 
     ids: list[int]
     labels: list[int]
     picture: Path | None
+    weight: float = 1.0
 
 
 def opened(path: str, attention: str):
@@ -83,7 +84,10 @@ def chats(data: Path, name: str, split: str, tokenizer, processor, limit: int | 
         for turn in messages:
             turn["content"] = turn["content"].replace(PLACE, place if processor is not None else "")
         picture = data / row["images"][0] if processor is not None and row.get("images") else None
-        found.append(tokens(messages, tokenizer, picture))
+        chat = tokens(messages, tokenizer, picture)
+        # A lesson counts as its chance among those of the state, and as what its decisions gain.
+        chat.weight = row.get("chance", 1.0) * row.get("weight", 1.0)
+        found.append(chat)
     return found
 
 
@@ -120,6 +124,7 @@ def batch(rows: list[Chat], processor, device: str) -> dict:
     made = {
         "input_ids": torch.tensor([row.ids + [0] * more for row, more in pad], device=device),
         "labels": torch.tensor([row.labels + [IGNORED] * more for row, more in pad], device=device),
+        "weights": torch.tensor([row.weight for row in rows], device=device),
     }
     if processor is not None:
         from PIL import Image
@@ -130,14 +135,16 @@ def batch(rows: list[Chat], processor, device: str) -> dict:
 
 
 def loss_of(model, made: dict) -> torch.Tensor:
-    """Mean cross entropy of the learned tokens. The output layer sees these alone, since its vocabulary is large."""
+    """Weighted mean cross entropy of the learned tokens. The output layer sees these alone, since its vocabulary is large."""
     labels = made["labels"]
     inner = model.get_base_model()
-    inputs = {key: value for key, value in made.items() if key != "labels"}
+    inputs = {key: value for key, value in made.items() if key not in ("labels", "weights")}
     hidden = inner.model(**inputs, use_cache=False).last_hidden_state
     learned = labels[:, 1:] != IGNORED
     logits = inner.lm_head(hidden[:, :-1][learned])
-    return torch.nn.functional.cross_entropy(logits.float(), labels[:, 1:][learned])
+    losses = torch.nn.functional.cross_entropy(logits.float(), labels[:, 1:][learned], reduction="none")
+    weights = made["weights"][:, None].expand(-1, learned.shape[1])[learned]
+    return (losses * weights).sum() / weights.sum().clamp_min(1e-6)
 
 
 def batches(rows: list[Chat], size: int, seed: int, epoch: int) -> list[list[Chat]]:
@@ -186,7 +193,7 @@ def saved(model, out: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--chats", default="messages", help="folder of the chats: messages, or that of another agent")
+    parser.add_argument("--chats", default="messages", help="folder of the chats: messages, lessons, or that of another agent")
     parser.add_argument("--model", required=True, help="a folder of transformers, or a GGUF file")
     parser.add_argument("--from-adapter", type=Path, help="adapter to go on from")
     parser.add_argument("--out", type=Path, required=True)

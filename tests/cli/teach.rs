@@ -98,7 +98,7 @@ fn assert_chat(messages: &Value, turns: usize, picture: bool) {
 }
 
 #[test]
-fn messages_preferences_and_codes_are_tables_with_pictures_beside() {
+fn messages_lessons_preferences_and_codes_are_tables_with_pictures_beside() {
     let work = TempDir::new().unwrap();
     let (out, again) = (work.path().join("data"), work.path().join("again"));
     write(&out, "1", &[]);
@@ -150,6 +150,32 @@ fn messages_preferences_and_codes_are_tables_with_pictures_beside() {
     }
     let best = codes.iter().filter(|row| row["best"] == true).count();
     assert_eq!(best, messages.len());
+
+    let lessons = rows(&out.join("lessons/train/00000.jsonl"));
+    assert_table(&lessons);
+    let number = |row: &Value, column: &str| row[column].as_f64().unwrap();
+    for row in &messages {
+        let of_state = lessons
+            .iter()
+            .filter(|lesson| lesson["state"] == row["state"]);
+        let (mut chances, mut highest) = (0.0, f64::NEG_INFINITY);
+        for lesson in of_state {
+            assert_chat(&lesson["messages"], 6, true);
+            assert_eq!(lesson["images"], row["images"]);
+            assert!(number(lesson, "weight") > 0.0, "{lesson}");
+            chances += number(lesson, "chance");
+            highest = highest.max(number(lesson, "value"));
+        }
+        assert!((chances - 1.0).abs() < 1e-9, "{chances}");
+        let best = codes
+            .iter()
+            .find(|code| code["state"] == row["state"] && code["best"] == true)
+            .unwrap();
+        assert!(
+            number(best, "value") >= highest,
+            "no lesson is worth more than the label"
+        );
+    }
 
     let seeds = |split: &str| -> BTreeSet<String> {
         rows(&out.join(format!("messages/{split}/00000.jsonl")))

@@ -29,7 +29,7 @@ pub(crate) struct DatasetArguments {
     /// (imitation).
     ///
     /// labels: images and planner codes, for nano's trainer. messages: chats of all rounds with
-    /// PNG files, preferences, and all tried codes, as JSON lines for TRL, LLaMA-Factory and
+    /// PNG files, lessons, preferences, and all tried codes, as JSON lines for TRL, LLaMA-Factory and
     /// ms-swift. imitation: the features of a learned planner and what the logged driver did, a
     /// sample a second, as safetensors.
     #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]

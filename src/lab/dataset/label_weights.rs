@@ -28,6 +28,11 @@ pub(super) struct DecisionWeights {
 }
 
 impl DecisionWeights {
+    /// Those of all three decisions.
+    pub(super) fn sum(&self) -> f64 {
+        self.lane + self.speed + self.accelerations
+    }
+
     /// Gains of the best candidate over the others. Rejected candidates do not count, since another
     /// attempt would follow. `after_rejection` is true if the prompt already reports a rejection.
     pub(super) fn from_candidates(

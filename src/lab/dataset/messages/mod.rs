@@ -1,8 +1,8 @@
-//! A dataset as chat messages, for trainers of others: conversations of all rounds, preferences and
-//! tried codes, each as JSON lines, with the pictures as PNG files beside.
+//! A dataset as chat messages, for trainers of others: conversations of all rounds, lessons,
+//! preferences and tried codes, each as JSON lines, with the pictures as PNG files beside.
 //!
 //! The states are those of the labeled states with the same settings. A shard is a file in each of
-//! `codes/SPLIT`, `preferences/SPLIT`, that of each other agent, and `messages/SPLIT`. The last is written last, so that its
+//! `codes/SPLIT`, `preferences/SPLIT`, `lessons/SPLIT`, that of each other agent, and `messages/SPLIT`. The last is written last, so that its
 //! presence shows completeness. Columns have one type in all lines, so that a table can be read
 //! line by line. `docs/teach.md` describes them.
 
@@ -22,9 +22,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 /// The files of a shard beside its conversations.
-const BESIDE: [&str; 2] = ["codes", "preferences"];
+const BESIDE: [&str; 3] = ["codes", "preferences", "lessons"];
 /// The one that shows that a shard is complete.
 const CONVERSATIONS: &str = "messages";
 
@@ -185,13 +185,14 @@ fn write_shard(
             rows.show(&path);
         }
     }
-    let [codes, preferences] = BESIDE;
+    let [codes, preferences, lessons] = BESIDE;
     let mut files = vec![
         (codes, lines(made.iter().flat_map(|rows| &rows.codes))?),
         (
             preferences,
             lines(made.iter().flat_map(|rows| &rows.preferences))?,
         ),
+        (lessons, lines(made.iter().flat_map(|rows| &rows.lessons))?),
     ];
     for (index, teacher) in chats.teachers.iter().enumerate() {
         let of_agent = made

@@ -1,9 +1,10 @@
-//! The lines of the three files: conversations, preferences, tried codes.
+//! The lines of the files: conversations, lessons, preferences, tried codes.
 
 use super::answers::{self, Seen};
 use super::{Chats, MessageModel, images};
 use crate::dataset::Settings;
 use crate::dataset::label::{self, Instruction};
+use crate::dataset::lessons::lessons;
 use crate::dataset::refusal::refusal;
 use crate::dataset::reward::RewardOutcome;
 use crate::dataset::state_name::{StateName, driven_text};
@@ -51,6 +52,19 @@ pub(super) struct Conversation {
     /// Whether the first prompt reports a code that Reflection refused.
     pub(super) rethink: bool,
     pub(super) state: StateName,
+}
+
+/// A line of the lessons: a conversation that ends in one of the codes worth learning.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct LessonConversation {
+    #[serde(flatten)]
+    conversation: Conversation,
+    /// Its chance among the lessons of the state, 0 to 1; they sum up to 1.
+    chance: f64,
+    /// What the decisions of the state gain over their worst options, in scores.
+    weight: f64,
+    /// That of the tried code.
+    value: f64,
 }
 
 /// A line of the preferences: the same in the columns of each trainer.
@@ -128,6 +142,7 @@ impl AgentConversation {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rows {
     pub(super) conversation: Conversation,
+    pub(super) lessons: Vec<LessonConversation>,
     pub(super) preferences: Vec<Preference>,
     pub(super) codes: Vec<TriedCode>,
     /// Those of other agents, in the order of their teachers; `None` where the search finds no answer
@@ -142,6 +157,9 @@ impl Rows {
     pub(super) fn show(&mut self, path: &str) {
         let shown = || vec![path.to_owned()];
         self.conversation.images = shown();
+        self.lessons
+            .iter_mut()
+            .for_each(|row| row.conversation.images = shown());
         self.preferences
             .iter_mut()
             .for_each(|row| row.images = shown());
@@ -166,11 +184,23 @@ impl Rows {
             scene_text: settings.prompts.forms().scene_text,
             driven: driven_text(visited.driven),
         };
-        let messages = match feedback {
+        let chat = match feedback {
             Some(feedback) => Chat::of_state(visited, Some(feedback), settings, chats.model)?,
             None => first.clone(),
-        }
-        .whole(visited.best);
+        };
+        let conversation = |candidate: &Candidate| Conversation {
+            messages: chat.whole(candidate),
+            images: Vec::new(),
+            rethink: feedback.is_some(),
+            state: state.clone(),
+        };
+        let lessons = lessons(visited.best, visited.tried, feedback.is_some());
+        let lessons = lessons.iter().map(|lesson| LessonConversation {
+            conversation: conversation(lesson.candidate),
+            chance: lesson.chance,
+            weight: lesson.weights.sum(),
+            value: lesson.candidate.value,
+        });
         let codes = visited.tried.iter().map(|tried| TriedCode {
             state: state.clone(),
             answer: tried.code.to_string(),
@@ -201,12 +231,8 @@ impl Rows {
             agents: agents.collect::<Result<_, PromptError>>()?,
             preferences: preferences.collect::<Result<_, _>>()?,
             codes: codes.collect(),
-            conversation: Conversation {
-                messages,
-                images: Vec::new(),
-                rethink: feedback.is_some(),
-                state,
-            },
+            lessons: lessons.collect(),
+            conversation: conversation(visited.best),
             image: chats.model.image_pixels.map(|_| visited.image.clone()),
         })
     }
