@@ -27,8 +27,6 @@ const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
 const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
 /// From this share of the limit on, the limit determines the speed.
 pub const NEAR_LIMIT: f64 = 0.85;
-/// Limit if the map has none, m/s.
-const FALLBACK_LIMIT: f64 = 15.0;
 /// Other accelerations, tried with the best centerline and speed if these leave something to gain,
 /// m/s²: gentle, firm, emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
@@ -106,7 +104,7 @@ pub fn search_ahead(
     graph: &LaneGraph,
     horizon: usize,
 ) -> Vec<Candidate> {
-    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
+    let limit = graph.limit();
     let mut tried: Vec<Candidate> = Vec::new();
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
@@ -168,7 +166,7 @@ pub(crate) fn search_grid(
         graph,
         judge: &judge,
         memory: &memory,
-        limit: graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT),
+        limit: graph.limit(),
         horizon,
     };
     grid_codes(graph)
@@ -201,7 +199,7 @@ pub fn attempts(
     graph: &LaneGraph,
     codes: &[PlannerCode],
 ) -> Vec<Option<Candidate>> {
-    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
+    let limit = graph.limit();
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
     let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {

@@ -162,7 +162,8 @@ impl<P> Attempts<P> {
     }
 
     /// Tries further answers out, in one more attempt that nobody was asked for. Its record has all
-    /// of them as proposals. Its plan is the best, the first of equals.
+    /// of them as proposals. Its plan is the best, the first of equals; if it is accepted, it drives
+    /// whatever was accepted before.
     pub(super) fn try_further<Q: Question<Plan = P>>(
         &mut self,
         question: &mut Q,
@@ -207,9 +208,14 @@ impl<P> Attempts<P> {
         self.interruption.is_none() && self.accepted().is_none() && self.tried.iter().any(judged)
     }
 
-    /// The first attempt whose plan is accepted.
+    /// The attempt whose plan is accepted, the last if further answers were tried after one.
     pub(super) fn accepted(&self) -> Option<usize> {
-        self.tried.iter().position(Tried::is_accepted)
+        self.tried.iter().rposition(Tried::is_accepted)
+    }
+
+    /// The answer of that attempt.
+    pub(super) fn accepted_answer(&self) -> Option<PlannerAnswer> {
+        self.tried.get(self.accepted()?)?.record.answer
     }
 
     /// What is wrong with the last attempt, where none has a plan.
@@ -447,6 +453,16 @@ mod tests {
                 .collect::<Vec<_>>(),
             [(true, 0), (true, 0), (true, 0), (false, 3)]
         );
+        let mut question = Slower { asked: Vec::new() };
+        let mut accepted = attempts(&[2.0]);
+        accepted
+            .try_further(&mut question, vec![code(8.0)])
+            .unwrap();
+        assert_eq!(accepted.accepted(), Some(0), "the further one is refused");
+        accepted
+            .try_further(&mut question, vec![code(1.0)])
+            .unwrap();
+        assert_eq!(accepted.accepted(), Some(2));
         let tried = attempts(&[1.0, 9.0]);
         assert_eq!(tried.accepted(), Some(1));
         assert_eq!(tried.into_records(None).0.len(), 2);

@@ -1,5 +1,6 @@
 //! Planner codes of a scene that need no model: a fixed one, and grids of them.
 
+use crate::environment::lane_graph::GoalLane;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::PlannerCode;
 
@@ -10,8 +11,6 @@ const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
 /// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
 const GRID_ACCELERATIONS: [(f64, f64); 4] =
     [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// Limit where the map has none, m/s.
-const FALLBACK_LIMIT: f64 = 15.0;
 
 /// The ego's lane at the speed limit.
 pub fn fixed_code(graph: &LaneGraph) -> PlannerCode {
@@ -53,8 +52,7 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
 /// another lane comes near others more often than it helps.
 /// Why: docs/decisions/129-judged-handover.md.
 pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
-    let moving = GRID_SPEEDS.into_iter().filter(|&fraction| fraction > 0.0);
-    let own = moving.map(|fraction| (CenterlineName::EgoLane, fraction));
+    let own = moving().map(|fraction| (CenterlineName::EgoLane, fraction));
     let others = graph
         .named()
         .filter(|centerline| graph.blocked.is_some() && centerline.name != CenterlineName::EgoLane)
@@ -62,6 +60,24 @@ pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
     own.chain(others)
         .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
         .collect()
+}
+
+/// Codes that begin the way to the goal's lane, from the limit down. They are tried where the plan
+/// of a call does not.
+/// Why: docs/decisions/136-to-the-goals-lane.md.
+pub(super) fn codes_to_goal(graph: &LaneGraph, goal: GoalLane) -> Vec<PlannerCode> {
+    let leads_there = |name: &CenterlineName| goal.is_towards(name.lane_changes());
+    let lanes = graph.named().map(|centerline| centerline.name);
+    lanes
+        .filter(leads_there)
+        .flat_map(|name| moving().map(move |fraction| (name, fraction)))
+        .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
+        .collect()
+}
+
+/// Desired speeds of the grid but the standstill.
+fn moving() -> impl Iterator<Item = f64> {
+    GRID_SPEEDS.into_iter().filter(|&fraction| fraction > 0.0)
 }
 
 /// The code for a centerline of the scene behind its lead agent, at a fraction of the speed limit
@@ -72,11 +88,10 @@ pub fn planner_code(
     fraction: f64,
     (accel_max, decel_max): (f64, f64),
 ) -> PlannerCode {
-    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     PlannerCode {
         centerline,
         lead_agent: graph.lead_agent(centerline).map(|agent| agent.name),
-        target_speed: (fraction * limit).round(),
+        target_speed: (fraction * graph.limit()).round(),
         accel_max,
         decel_max,
     }

@@ -5,7 +5,7 @@ use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
 use super::code_question::{CodeQuestion, begins_lane_change};
 use super::code_source::CodeSource;
-use super::codes::further_codes;
+use super::codes::{codes_to_goal, further_codes};
 use super::language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
 use super::layer::AgentLayer;
 use super::layered::with_layers;
@@ -14,8 +14,9 @@ use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
+use crate::environment::lane_graph::GoalLane;
 use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
-use crate::reasoning::{AnswerHistory, ScenarioPrompt};
+use crate::reasoning::{AnswerHistory, PlannerAnswer, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use planagent_mllm::milliseconds;
 use planagent_score::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
@@ -151,8 +152,17 @@ impl LanguageAgent for PlanAgent {
             compares: source.compares(),
         };
         let mut attempts = Attempts::make(&mut question, limits, observation_ms)?;
-        if settings.reflection.further_codes && takes_best && attempts.are_refused() {
-            attempts.try_further(&mut question, further_codes(graph))?;
+        if settings.reflection.further_codes && takes_best && attempts.interruption.is_none() {
+            if attempts.are_refused() {
+                attempts.try_further(&mut question, further_codes(graph))?;
+            }
+            if let (Some(goal), Some(_)) = (graph.goal, &judge)
+                && !is_towards(goal, attempts.accepted_answer())
+            {
+                // Nobody asked for this change, so it needs what other lane changes do.
+                question.thresholds.0 = threshold.max(lane_change_threshold);
+                attempts.try_further(&mut question, codes_to_goal(graph, goal))?;
+            }
         }
         // Judged only where all attempts are refused: else the active plan ends anyway.
         if let (Some(judge), Some(active)) = (&judge, state.active_plan())
@@ -211,6 +221,11 @@ impl LanguageAgent for PlanAgent {
     }
 }
 
+/// Whether an answer is a code that begins the way to the goal's lane.
+fn is_towards(goal: GoalLane, answer: Option<PlannerAnswer>) -> bool {
+    matches!(answer, Some(PlannerAnswer::Code(code)) if goal.is_towards(code.centerline.lane_changes()))
+}
+
 impl AgentLayer for PlanAgent {
     fn state(&self) -> &AgentState {
         &self.state
@@ -263,7 +278,8 @@ impl AgentLayer for PlanAgent {
 mod tests {
     use super::*;
     use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH};
-    use planagent_world::Scene;
+    use planagent_world::geometry::Pose;
+    use planagent_world::{LaneId, Scene};
 
     /// What a plan for the left lane must score, where a car stands beside the middle of the ego's
     /// lane.
@@ -301,6 +317,54 @@ mod tests {
             (needed_to_leave(-3.0) - usual).abs() < 1e-9,
             "it is beside the lane"
         );
+    }
+
+    /// The code that drives, and whether the model was asked for it, where the model keeps the right
+    /// one of two lanes, and the goal's lane is the left one.
+    fn driven(has_goal: bool, further_codes: bool, beside: Option<(f64, f64)>) -> (String, bool) {
+        let mut scene =
+            Scene::builder()
+                .lanes(2, [[-50.0, 0.0], [250.0, 0.0]])
+                .ego([0.0, -3.5], 0.0, 8.0);
+        if let Some((x, speed)) = beside {
+            scene = scene.vehicle([x, 0.0], 0.0, speed);
+        }
+        let mut scene = scene.build().unwrap();
+        if has_goal {
+            scene.route.goal = Some(Pose::new(200.0, 0.0, 0.0));
+            scene.route.goal_lane = Some(LaneId(0));
+        }
+        let mut settings = PlanAgentSettings::default();
+        settings.reflection.further_codes = further_codes;
+        let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
+        let source = CodeSource::Written(code.to_owned());
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
+        let input = PlannerInput {
+            iteration: 0,
+            scene: scene.view(),
+        };
+        agent.plan(&input, Instant::now()).unwrap();
+        let call = agent.state.calls.pop().unwrap();
+        let driven = call.accepted().unwrap();
+        (driven.answer.unwrap().to_string(), driven.is_asked)
+    }
+
+    #[test]
+    fn an_agent_changes_to_the_goals_lane_also_where_the_model_does_not() {
+        let (kept, left) = ("c=ego_lane", "c=left_lane");
+        for (has_goal, further_codes) in [(false, true), (true, false)] {
+            let (code, is_asked) = driven(has_goal, further_codes, None);
+            assert!(code.contains(kept) && is_asked, "{code}");
+        }
+        let (free, is_asked) = driven(true, true, None);
+        assert!(free.contains(left) && !is_asked, "{free}");
+        for beside in [(0.0, 8.0), (9.0, 6.0)] {
+            let (code, _) = driven(true, true, Some(beside));
+            assert!(
+                code.contains(kept),
+                "{beside:?}: the ego would brake, {code}"
+            );
+        }
     }
 
     /// Whether an agent leaves a blocked lane, and where it comes back, when no score gets its codes

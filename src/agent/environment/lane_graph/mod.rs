@@ -174,6 +174,13 @@ impl LaneGraph {
         self.named().find(|centerline| centerline.name == name)
     }
 
+    /// The speed limit of the ego's lane, m/s: the map's, or where it has none the estimate that
+    /// the texts give.
+    /// Why: docs/decisions/137-limits-as-the-texts-give-them.md.
+    pub fn limit(&self) -> f64 {
+        self.ego_lane().speed_limit.unwrap_or(self.limit_estimate)
+    }
+
     pub fn ego_lane(&self) -> &Centerline {
         &self.centerlines[0]
     }
