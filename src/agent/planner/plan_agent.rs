@@ -281,6 +281,26 @@ mod tests {
     use planagent_world::geometry::Pose;
     use planagent_world::{LaneId, Scene};
 
+    /// A code for the left lane.
+    const LEAVES: &str = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
+
+    /// The first planning call of an agent whose model answers with this code, and the plan that
+    /// becomes active.
+    fn called(
+        scene: &Scene,
+        code: &str,
+        settings: PlanAgentSettings,
+    ) -> (PlanningCall, Option<ActivePlan>) {
+        let source = CodeSource::Written(code.to_owned());
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
+        let input = PlannerInput {
+            iteration: 0,
+            scene: scene.view(),
+        };
+        let plan = agent.plan(&input, Instant::now()).unwrap();
+        (agent.state.calls.pop().unwrap(), plan)
+    }
+
     /// What a plan for the left lane must score, where a car stands beside the middle of the ego's
     /// lane.
     fn needed_to_leave(beside: f64) -> f64 {
@@ -290,16 +310,7 @@ mod tests {
             .vehicle([30.0, -3.5 + beside], 0.0, 0.0)
             .build()
             .unwrap();
-        let code = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
-        let source = CodeSource::Written(code.to_owned());
-        let settings = PlanAgentSettings::default();
-        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
-        let input = PlannerInput {
-            iteration: 0,
-            scene: scene.view(),
-        };
-        agent.plan(&input, Instant::now()).unwrap();
-        let call = agent.state.calls.pop().unwrap();
+        let (call, _) = called(&scene, LEAVES, PlanAgentSettings::default());
         call.attempts[0].reflection.as_ref().unwrap().threshold
     }
 
@@ -337,14 +348,7 @@ mod tests {
         let mut settings = PlanAgentSettings::default();
         settings.reflection.further_codes = further_codes;
         let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
-        let source = CodeSource::Written(code.to_owned());
-        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
-        let input = PlannerInput {
-            iteration: 0,
-            scene: scene.view(),
-        };
-        agent.plan(&input, Instant::now()).unwrap();
-        let call = agent.state.calls.pop().unwrap();
+        let (call, _) = called(&scene, code, settings);
         let driven = call.accepted().unwrap();
         (driven.answer.unwrap().to_string(), driven.is_asked)
     }
@@ -381,18 +385,10 @@ mod tests {
         settings.reflection.threshold = threshold;
         settings.reflection.lane_change_threshold = 1.1;
         settings.reflection.further_codes = further_codes;
-        let code = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
-        let source = CodeSource::Written(code.to_owned());
-        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
-        let input = PlannerInput {
-            iteration: 0,
-            scene: scene.view(),
-        };
-        let plan = agent.plan(&input, Instant::now()).unwrap().unwrap();
-        let ActivePlan::Generated(plan) = plan else {
+        let (call, plan) = called(&scene, LEAVES, settings);
+        let Some(ActivePlan::Generated(plan)) = plan else {
             panic!("the plan of a code is active");
         };
-        let call = agent.state.calls.pop().unwrap();
         assert!(matches!(call.decision, Decision::Exhausted(_)));
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         let left = &graph.centerline(CenterlineName::LeftLane).unwrap().path;

@@ -119,8 +119,8 @@ pub struct ReflectionSettings {
     /// Why: docs/decisions/109-paper-settings.md.
     pub after_max_exec: AfterMaxExec,
     /// Whether further codes are tried out when all attempts were refused: the ego's lane more
-    /// slowly and, where something blocks it, other lanes; and when no accepted plan begins the way
-    /// to the goal's lane: that way.
+    /// slowly and, where something blocks it, other lanes. Where no accepted plan begins the way to
+    /// the goal's lane, that is tried too.
     /// Why: docs/decisions/129-judged-handover.md, docs/decisions/136-to-the-goals-lane.md.
     pub further_codes: bool,
     /// Which objects a plan follows.

@@ -24,7 +24,7 @@ fn status(key: &str) -> u64 {
 }
 
 #[test]
-#[ignore = "takes 4 GiB of memory and some minutes, on Linux"]
+#[ignore = "takes 4 GiB of memory and some minutes, on Linux, with no test beside it"]
 fn peaks_are_near_the_estimate() {
     for name in SHAPES {
         // The kernel begins a new peak.

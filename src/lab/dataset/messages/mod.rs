@@ -2,9 +2,9 @@
 //! preferences and tried codes, each as JSON lines, with the pictures as PNG files beside.
 //!
 //! The states are those of the labeled states with the same settings. A shard is a file in each of
-//! `codes/SPLIT`, `preferences/SPLIT`, `lessons/SPLIT`, that of each other agent, and `messages/SPLIT`. The last is written last, so that its
-//! presence shows completeness. Columns have one type in all lines, so that a table can be read
-//! line by line. `docs/teach.md` describes them.
+//! `codes/SPLIT`, `preferences/SPLIT`, `lessons/SPLIT`, that of each other agent, and
+//! `messages/SPLIT`. The last is written last, so that its presence shows completeness. Columns have
+//! one type in all lines, so that a table can be read line by line. `docs/teach.md` describes them.
 
 mod answers;
 mod card;
