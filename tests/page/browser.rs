@@ -40,6 +40,35 @@ fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() -> Needy {
     Ok(())
 }
 
+/// interPlan's metrics of a modified scene, beside nuPlan's of another one.
+#[test]
+fn a_modified_scene_shows_the_metrics_of_its_kind() -> Needy {
+    let program = Chromium::program()?;
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("run");
+    let modified = "generated/changing_lane/0~nudge_around_parked_vehicle";
+    let scenes = ["generated/changing_lane/0", modified].map(str::to_owned);
+    simulate(&out, &scenes, "idm");
+    let (code, _, stderr) = run(&["report", out.to_str().unwrap()]);
+    assert_eq!(code, 0, "{stderr}");
+    let mut browser = Chromium::start(&program);
+    browser.open(&out.join("report.html"), "overview");
+    let weights = "Object.fromEntries([...document.querySelectorAll('.tinted tbody tr')] \
+                   .map((row) => [row.querySelector('th').title, row.querySelector('td').textContent]))";
+    let weights = browser.value(weights);
+    assert_eq!(weights["driving_direction_compliance"], "× or 1");
+    assert_eq!(weights["no_ego_at_fault_collisions"], "×");
+    assert_eq!(weights["ego_sorts_stopped_vehicle"], "×");
+    assert_eq!(weights["lane_changes_to_goal"], "4");
+    browser.press("2");
+    // The score, nuPlan's eight metrics and two of the kind.
+    browser.wait_for("document.querySelectorAll('.card').length === 11");
+    browser.open(&out.join("report.html"), "scenarios/0/1");
+    browser.wait_for("document.querySelector('.chip[title^=ego_sorts_stopped_vehicle]') !== null");
+    assert_eq!(browser.errors(), [""; 0]);
+    Ok(())
+}
+
 /// Overview and Histograms show every planner and every metric.
 fn tables(browser: &mut Chromium, page: &Path) {
     browser.open(page, "overview");

@@ -9,7 +9,7 @@ use crate::worker::run::SimulationRecord;
 use planagent_agent::planner::{NoPlan, PlanningCall, Unreadable};
 use planagent_agent::reasoning::Interruption;
 use planagent_agent::simulation::Challenge;
-use planagent_score::metrics::{ScenarioRow, scored_names};
+use planagent_score::metrics::{ScenarioRow, scored_metrics};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::InteractionKind;
 use schemars::JsonSchema;
@@ -255,12 +255,18 @@ impl SimulationRow {
             .and_then(|metric| metric.score)
     }
 
-    /// The names of the metrics of its score, in the order of that: interPlan's in a modified
-    /// scenario of its kinds.
+    /// The kind by whose metrics it is scored: interPlan's in a modified scenario of its kinds.
+    pub fn scored_kind(&self) -> Option<InteractionKind> {
+        InteractionKind::named(&self.scenario_type)
+            .filter(|_| self.metric("lane_changes_to_goal").is_some())
+    }
+
+    /// The names of the metrics of its score, in the order of that.
     pub fn scored(&self) -> Vec<&'static str> {
-        let kind = InteractionKind::named(&self.scenario_type)
-            .filter(|_| self.metric("lane_changes_to_goal").is_some());
-        scored_names(self.challenge.metric_list(), kind)
+        scored_metrics(self.challenge.metric_list(), self.scored_kind())
+            .iter()
+            .map(|metric| metric.name)
+            .collect()
     }
 
     /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The

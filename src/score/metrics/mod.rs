@@ -69,7 +69,7 @@ pub use open_loop::{
     planner_expert_average_l2_error_within_bound, planner_expert_final_heading_error_within_bound,
     planner_expert_final_l2_error_within_bound, planner_miss_rate_within_bound,
 };
-pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric, scored_names};
+pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric, scored_metrics};
 pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
 pub use route::{driven_route, lanes_at};
 pub use route_progress::{RouteProgress, progress_ratio};

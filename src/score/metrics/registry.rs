@@ -69,14 +69,12 @@ impl Weighting {
     }
 }
 
-/// The names of the metrics that enter a score, multipliers first: of a kind, or nuPlan's of a
-/// list.
-pub fn scored_names(list: MetricList, kind: Option<InteractionKind>) -> Vec<&'static str> {
+/// The metrics that enter a score, multipliers first: of a kind, with the roles that they have in
+/// it, or nuPlan's of a list.
+pub fn scored_metrics(list: MetricList, kind: Option<InteractionKind>) -> Vec<MetricSpec> {
     match kind.filter(|_| list == MetricList::ClosedLoop) {
-        Some(kind) => scored(&specs_of(kind, &METRICS), list)
-            .map(|spec| spec.name)
-            .collect(),
-        None => list.scored().map(|spec| spec.name).collect(),
+        Some(kind) => scored(&specs_of(kind, &METRICS), list).copied().collect(),
+        None => list.scored().copied().collect(),
     }
 }
 

@@ -7,8 +7,8 @@ use crate::report::replay::Sketch;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::ScenarioSummary;
 use crate::report::timing::PlannerTiming;
-use planagent_score::metrics::{MetricList, MetricSpec, Role, distinct};
-use planagent_world::PACIFICA;
+use planagent_score::metrics::{MetricList, MetricSpec, Role, distinct, scored_metrics};
+use planagent_world::{InteractionKind, PACIFICA};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -63,11 +63,14 @@ struct Thresholds {
     assist: Option<f64>,
 }
 
+/// A metric of a score.
 #[derive(Debug, Serialize)]
 struct MetricEntry {
     name: &'static str,
     label: &'static str,
     list: MetricList,
+    /// The kind of modified scenarios that has it in this role; none for nuPlan's score.
+    kind: Option<&'static str>,
     /// The weight; none for a multiplier.
     weight: Option<f64>,
 }
@@ -167,7 +170,7 @@ impl Index {
                 rear_axle_to_center: PACIFICA.rear_axle_to_center(),
             },
             runs: runs.iter().map(RunEntry::from_run).collect(),
-            metrics: metrics(),
+            metrics: metrics(runs),
             simulations: rows.zip(parts).map(entry).collect(),
             comparisons: comparisons(runs),
             timings: of_runs(runs, timings),
@@ -210,20 +213,31 @@ impl RunEntry {
     }
 }
 
-fn metrics() -> Vec<MetricEntry> {
-    let entry = |list, metric: &MetricSpec| MetricEntry {
-        name: metric.name,
-        label: metric.label,
-        list,
-        weight: if let Role::Weight(weight) = metric.role {
-            Some(weight)
-        } else {
-            None
-        },
+/// The metrics of nuPlan's scores, and of the kinds of modified scenarios that occur.
+fn metrics(runs: &[RunSimulations]) -> Vec<MetricEntry> {
+    let of = |list, kind: Option<InteractionKind>| {
+        let entry = move |metric: MetricSpec| MetricEntry {
+            name: metric.name,
+            label: metric.label,
+            list,
+            kind: kind.map(InteractionKind::name),
+            weight: if let Role::Weight(weight) = metric.role {
+                Some(weight)
+            } else {
+                None
+            },
+        };
+        scored_metrics(list, kind).into_iter().map(entry)
     };
-    let of = |list: MetricList| list.scored().map(move |metric| entry(list, metric));
-    of(MetricList::ClosedLoop)
-        .chain(of(MetricList::OpenLoop))
+    let rows = runs.iter().flat_map(|run| &run.rows);
+    let kinds = distinct(rows.filter_map(SimulationRow::scored_kind));
+    of(MetricList::ClosedLoop, None)
+        .chain(of(MetricList::OpenLoop, None))
+        .chain(
+            kinds
+                .into_iter()
+                .flat_map(|kind| of(MetricList::ClosedLoop, Some(kind))),
+        )
         .collect()
 }
 

@@ -73,10 +73,20 @@ function colorOf(entrant) {
   return `var(--c${entrant.place % 8})`;
 }
 
-/** The scored metrics of a challenge. */
-function scoredMetrics(challenge) {
-  const list = challenge === "open_loop_boxes" ? "open_loop" : "closed_loop";
-  return INDEX.metrics.filter((metric) => metric.list === list);
+/** The metrics of the score of a simulation: interPlan's in a modified scenario of its kinds. */
+function scoredMetrics(simulation) {
+  const list = simulation.challenge === "open_loop_boxes" ? "open_loop" : "closed_loop";
+  const kind = Object.hasOwn(simulation, "lane_changes_to_goal") ? simulation.scenario_type : null;
+  return INDEX.metrics.filter((metric) => metric.list === list && metric.kind === kind);
+}
+
+/** The metrics of the scores of a challenge by name, with all weights that they have there; the weight of a multiplier is null. */
+function metricsOf(challenge) {
+  const weights = new Map();
+  for (const simulation of INDEX.simulations.filter((simulation) => simulation.challenge === challenge)) {
+    for (const { name, weight } of scoredMetrics(simulation)) weights.set(name, (weights.get(name) ?? new Set()).add(weight));
+  }
+  return [...weights].map(([name, of]) => ({ name, weights: [...of] }));
 }
 
 /** The short label of a metric. */

@@ -55,7 +55,7 @@ class Histograms {
 
   scores() {
     const final = histogramCard("Final score", "", "", this.rows((simulation) => simulation.score), [0, 1]);
-    const parts = scoredMetrics(this.challenge).map(({ name }) =>
+    const parts = metricsOf(this.challenge).map(({ name }) =>
       histogramCard(capital(metricTitle(name)), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
     return [final, ...parts];
   }

@@ -89,9 +89,9 @@ function tinted(score, title = null) {
 
 function metricMeans(challenge) {
   const head = h("tr", {}, h("th", {}, "metric"), h("th", { class: "number" }, "weight"), INDEX.entrants.map(entrantHead));
-  const rows = scoredMetrics(challenge).map((metric) => h("tr", {},
+  const rows = metricsOf(challenge).map((metric) => h("tr", {},
     h("th", { scope: "row", title: metric.name }, capital(metricTitle(metric.name))),
-    h("td", { class: "number quiet" }, metric.weight === null ? "×" : `${metric.weight}`),
+    h("td", { class: "number quiet" }, metric.weights.map((weight) => weight ?? "×").join(" or ")),
     INDEX.entrants.map((entrant) => {
       const own = INDEX.simulations.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
       return tinted(mean(own.map((simulation) => metricScore(simulation, metric.name)).filter((value) => value !== null)));
@@ -121,7 +121,7 @@ function lowestScores() {
 /** The metrics that made a score 0, else those below 1 with their values. */
 function whyLow(simulation) {
   if (simulation.score === 0 && simulation.zeroed_by.length) return simulation.zeroed_by.map(metricTitle).join(", ");
-  const below = scoredMetrics(simulation.challenge).filter(({ name }) => (metricScore(simulation, name) ?? 1) < 1);
+  const below = scoredMetrics(simulation).filter(({ name }) => (metricScore(simulation, name) ?? 1) < 1);
   return below.map(({ name }) => `${metricTitle(name)} ${partFigure(metricScore(simulation, name))}`).join(", ");
 }
 

@@ -169,7 +169,7 @@ class Scenarios {
   /** The score and its metrics. */
   showChips() {
     const { simulation } = this;
-    const parts = scoredMetrics(simulation.challenge).map(({ name, weight }) => {
+    const parts = scoredMetrics(simulation).map(({ name, weight }) => {
       const score = metricScore(simulation, name);
       const state = score === null ? "" : score >= 1 ? "whole" : score === 0 ? "zero" : "short";
       return h("span", { class: `chip ${state}`, title: `${name}, ${weight === null ? "multiplier" : `weight ${weight}`}` },
