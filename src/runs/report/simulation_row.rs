@@ -256,7 +256,7 @@ impl SimulationRow {
     }
 
     /// The kind by whose metrics it is scored: interPlan's in a modified scenario of its kinds.
-    pub fn scored_kind(&self) -> Option<InteractionKind> {
+    pub(crate) fn scored_kind(&self) -> Option<InteractionKind> {
         InteractionKind::named(&self.scenario_type)
             .filter(|_| self.metric("lane_changes_to_goal").is_some())
     }
