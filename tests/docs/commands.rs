@@ -367,6 +367,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
+        "planagent --seed 16 dataset --for messages --out data/chats --states 3000 --validation 300 --model nano --prompt-set brief --modified 0.5",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
         "planagent dataset --for messages --out data/agents --states 2849 --validation 300 --model nano --prompt-set brief --agents gpt-driver,dilu --modified 0.3",
         HOURS,
     ),
