@@ -47,7 +47,7 @@ fn a_modified_scene_shows_the_metrics_of_its_kind() -> Needy {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("run");
     let modified = "generated/changing_lane/0~nudge_around_parked_vehicle";
-    let scenes = ["generated/changing_lane/0", modified].map(str::to_owned);
+    let scenes = [modified, "generated/changing_lane/0"].map(str::to_owned);
     simulate(&out, &scenes, "idm");
     let (code, _, stderr) = run(&["report", out.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
@@ -63,7 +63,7 @@ fn a_modified_scene_shows_the_metrics_of_its_kind() -> Needy {
     browser.press("2");
     // The score, nuPlan's eight metrics and two of the kind.
     browser.wait_for("document.querySelectorAll('.card').length === 11");
-    browser.open(&out.join("report.html"), "scenarios/0/1");
+    browser.open(&out.join("report.html"), "scenarios/0/0");
     browser.wait_for("document.querySelector('.chip[title^=ego_sorts_stopped_vehicle]') !== null");
     assert_eq!(browser.errors(), [""; 0]);
     Ok(())

@@ -80,13 +80,14 @@ function scoredMetrics(simulation) {
   return INDEX.metrics.filter((metric) => metric.list === list && metric.kind === kind);
 }
 
-/** The metrics of the scores of a challenge by name, with all weights that they have there; the weight of a multiplier is null. */
+/** The metrics of the scores of a challenge by name, nuPlan's first, with all weights that they have there; the weight of a multiplier is null. */
 function metricsOf(challenge) {
+  const used = new Set(INDEX.simulations.filter((simulation) => simulation.challenge === challenge).flatMap(scoredMetrics));
   const weights = new Map();
-  for (const simulation of INDEX.simulations.filter((simulation) => simulation.challenge === challenge)) {
-    for (const { name, weight } of scoredMetrics(simulation)) weights.set(name, (weights.get(name) ?? new Set()).add(weight));
+  for (const metric of INDEX.metrics.filter((metric) => used.has(metric))) {
+    weights.set(metric.name, (weights.get(metric.name) ?? new Set()).add(metric.weight));
   }
-  return [...weights].map(([name, of]) => ({ name, weights: [...of] }));
+  return [...weights].map(([name, of]) => ({ name, weights: [...of].sort((one, other) => (one ?? 0) - (other ?? 0)) }));
 }
 
 /** The short label of a metric. */
