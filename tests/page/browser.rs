@@ -60,6 +60,8 @@ fn a_modified_scene_shows_the_metrics_of_its_kind() -> Needy {
     assert_eq!(weights["no_ego_at_fault_collisions"], "×");
     assert_eq!(weights["ego_sorts_stopped_vehicle"], "×");
     assert_eq!(weights["lane_changes_to_goal"], "4");
+    let text = browser.value("document.getElementById('overview').textContent");
+    assert!(text.as_str().unwrap().contains("or interPlan's"), "{text}");
     browser.press("2");
     // The score, nuPlan's eight metrics and two of the kind.
     browser.wait_for("document.querySelectorAll('.card').length === 11");

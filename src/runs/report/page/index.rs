@@ -82,6 +82,8 @@ pub(super) struct SimulationEntry {
     number: usize,
     #[serde(flatten)]
     pub(super) summary: ScenarioSummary,
+    /// The kind by whose metrics it is scored; none: by nuPlan's.
+    kind: Option<&'static str>,
     /// Numbers of the elements with its replay, its map and its images.
     pub(super) replay: Option<usize>,
     pub(super) map: Option<usize>,
@@ -153,6 +155,7 @@ impl Index {
                 run,
                 number: row.number,
                 summary: ScenarioSummary::from(row),
+                kind: row.scored_kind().map(InteractionKind::name),
                 replay: None,
                 map: None,
                 images: None,

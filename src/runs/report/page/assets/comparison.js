@@ -39,11 +39,12 @@ function usualReference() {
 function finalScores() {
   COMPARED.from = INDEX.entrants.find(({ label }) => label === COMPARED.chosen) ?? usualReference();
   const node = h("section", { class: "final-scores" });
+  const alsoInterplan = INDEX.metrics.some(({ kind }) => kind !== null) ? ", or interPlan's in scenes of its kinds" : "";
   const draw = () => fill(node,
     h("div", { class: "heading" }, h("h2", {}, "Final scores"), scopeChoice(redraw), referenceChoice(redraw)),
     scopeNote(),
     h("div", { class: "challenges" }, INDEX.challenges.map(scoreCard)),
-    h("p", { class: "note" }, "nuPlan's score × 100, the mean over scenes. The line around a dot and the numbers below a score are its 95 % bootstrap interval over scenes. "
+    h("p", { class: "note" }, `nuPlan's score × 100${alsoInterplan}, the mean over scenes. The line around a dot and the numbers below a score are its 95 % bootstrap interval over scenes. `
       + "A difference is paired: only scenes that both planners completed count. Bold: its interval does not contain 0. Failed simulations do not count."));
   const redraw = () => {
     draw();

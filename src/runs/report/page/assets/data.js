@@ -76,8 +76,7 @@ function colorOf(entrant) {
 /** The metrics of the score of a simulation: interPlan's in a modified scenario of its kinds. */
 function scoredMetrics(simulation) {
   const list = simulation.challenge === "open_loop_boxes" ? "open_loop" : "closed_loop";
-  const kind = Object.hasOwn(simulation, "lane_changes_to_goal") ? simulation.scenario_type : null;
-  return INDEX.metrics.filter((metric) => metric.list === list && metric.kind === kind);
+  return INDEX.metrics.filter((metric) => metric.list === list && metric.kind === simulation.kind);
 }
 
 /** The metrics of the scores of a challenge by name, nuPlan's first, with all weights that they have there; the weight of a multiplier is null. */
