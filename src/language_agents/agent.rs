@@ -24,6 +24,9 @@ pub(crate) trait ChatAgent: Send {
     /// Time between planning calls, seconds.
     fn interval_s(&self) -> f64;
 
+    /// Whether Reflection scores its plans.
+    fn reflects(&self) -> bool;
+
     /// Forgets the simulation so far.
     fn reset(&mut self);
 

@@ -14,6 +14,8 @@ pub(crate) struct Chat<'a> {
     settings: &'a ReasoningSettings,
     seed: u64,
     deadline: Deadline,
+    /// What Reflection says of the last answer.
+    feedback: Option<String>,
     conversation: Option<Box<dyn Conversation + 'a>>,
     /// Conversations so far, each of which draws from a stream of its own.
     opened: u64,
@@ -38,17 +40,25 @@ impl<'a> Chat<'a> {
         settings: &'a ReasoningSettings,
         seed: u64,
         deadline: Deadline,
+        feedback: Option<String>,
     ) -> Self {
         Self {
             model,
             settings,
             seed,
             deadline,
+            feedback,
             conversation: None,
             opened: 0,
             rounds: Vec::new(),
             interruption: None,
         }
+    }
+
+    /// What Reflection says of the last answer of this planning call, for the prompt that asks for
+    /// another.
+    pub(crate) fn feedback(&self) -> Option<&str> {
+        self.feedback.as_deref()
     }
 
     /// Begins a conversation with a system prompt; there is no image.
@@ -93,7 +103,11 @@ impl<'a> Chat<'a> {
                 Constraint::Free
             },
             max_new_tokens: max_tokens,
-            sampling: self.settings.generation.sampling,
+            sampling: if self.feedback.is_some() {
+                self.settings.rethink_sampling
+            } else {
+                self.settings.generation.sampling
+            },
             deadline: self.deadline,
             draft: None,
         };

@@ -9,7 +9,10 @@ use planagent_agent::planner::{
     PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlanningCall, Question, Shown, Trial, Unreadable, comfortable_stop, planning_call,
 };
-use planagent_agent::reasoning::{Feedback, Parsed, ReasoningError, ReasoningTrace};
+use planagent_agent::reasoning::{Feedback, Parsed, ReasoningError, ReasoningTrace, feedback_text};
+use planagent_agent::reflection::Judge;
+use planagent_mllm::milliseconds;
+use planagent_score::pdm::PdmMemory;
 use planagent_world::{SceneView, Trajectory};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -59,6 +62,8 @@ pub(crate) struct LanguagePlanner<A: ChatAgent> {
     agent: A,
     source: Source<A::Answer>,
     settings: PlanAgentSettings,
+    /// What PDM's view of the scenes so far leaves to the next.
+    memory: PdmMemory,
     clock: Clock,
     /// Whether a plan was made.
     has_plan: bool,
@@ -77,6 +82,7 @@ impl<A: ChatAgent> LanguagePlanner<A> {
             agent,
             source,
             settings,
+            memory: PdmMemory::default(),
             clock: Clock::default(),
             has_plan: false,
             calls: Vec::new(),
@@ -94,28 +100,55 @@ impl<A: ChatAgent> LanguagePlanner<A> {
         clock.step(scene.ego.time_us);
         clock.is_due(self.agent.interval_s())
     }
+
+    /// When the attempts of a planning call end.
+    fn limits(&self) -> AttemptLimits {
+        if !self.agent.reflects() {
+            return AttemptLimits::ONE;
+        }
+        let reflection = &self.settings.reflection;
+        AttemptLimits {
+            max_exec: reflection.max_exec,
+            threshold: reflection.threshold,
+            compares: false,
+        }
+    }
+
+    /// Reflection's view of the scene, where it scores the plans.
+    fn judge<'a>(&mut self, seen: GraphedScene<'a>) -> Result<Option<Judge<'a>>, PlannerError> {
+        if !self.agent.reflects() {
+            return Ok(None);
+        }
+        let GraphedScene { scene, graph } = seen;
+        let horizon_s = self.settings.reflection.horizon_s;
+        Ok(Some(Judge::new(scene, graph, horizon_s, &mut self.memory)?))
+    }
 }
 
-/// The one question of a planning call.
-struct OneAnswer<'a, 's, A: ChatAgent> {
+/// The question of a planning call. It is asked again where Reflection refuses the plan.
+struct Asking<'a, 's, A: ChatAgent> {
     planner: &'a LanguagePlanner<A>,
     observation: &'a A::Observation<'s>,
     seen: GraphedScene<'a>,
     terms: CallTerms,
+    /// `None` where no plan is scored.
+    judge: Option<Judge<'a>>,
     /// Why the answer is no plan.
     unreadable: Option<Unreadable>,
 }
 
-impl<A: ChatAgent> Question for OneAnswer<'_, '_, A> {
+impl<A: ChatAgent> Question for Asking<'_, '_, A> {
     type Answer = A::Answer;
     type Plan = A::Plan;
 
     fn ask(
         &mut self,
-        _: Option<&Feedback>,
+        feedback: Option<&Feedback>,
     ) -> Result<Option<ReasoningTrace<A::Answer>>, ReasoningError> {
         let AskedModel {
-            model, reasoning, ..
+            model,
+            prompts,
+            reasoning,
         } = match &self.planner.source {
             Source::Model(asked) => asked,
             Source::Handed(handed) => {
@@ -123,7 +156,10 @@ impl<A: ChatAgent> Question for OneAnswer<'_, '_, A> {
             }
         };
         let CallTerms { seed, deadline } = self.terms;
-        let mut chat = Chat::new(model.as_ref(), reasoning, seed, deadline);
+        let feedback = feedback
+            .map(|feedback| feedback_text(prompts, feedback))
+            .transpose()?;
+        let mut chat = Chat::new(model.as_ref(), reasoning, seed, deadline, feedback);
         let reply = self.planner.agent.ask(self.observation, &mut chat)?;
         self.unreadable = reply.unreadable;
         let (answer, errors) = (reply.answer, reply.errors);
@@ -134,7 +170,6 @@ impl<A: ChatAgent> Question for OneAnswer<'_, '_, A> {
         }))
     }
 
-    /// No trial: these agents have no Reflection.
     fn try_out(&mut self, answer: A::Answer) -> Result<Option<Trial<A::Plan>>, PlannerError> {
         if self.unreadable.is_some() {
             return Ok(None);
@@ -142,11 +177,13 @@ impl<A: ChatAgent> Question for OneAnswer<'_, '_, A> {
         let agent = &self.planner.agent;
         let (plan, trajectory) = agent.plan(answer, self.observation, self.seen)?;
         let states = trajectory.states().iter().take(RECORDED_STATES);
+        let threshold = self.planner.limits().threshold;
+        let reflect = |judge: &Judge<'_>| judge.assess(judge.follow(&trajectory), threshold);
         Ok(Some(Trial {
             plan,
             path: states.map(|state| state.rear_axle).collect(),
-            reflection: None,
-            threshold: AttemptLimits::ONE.threshold,
+            reflection: self.judge.as_ref().map(reflect).transpose()?,
+            threshold,
         }))
     }
 
@@ -183,14 +220,18 @@ impl<A: ChatAgent> LanguageAgent for LanguagePlanner<A> {
         seen: GraphedScene<'_>,
         terms: CallTerms,
     ) -> Result<Attempts<A::Plan>, PlannerError> {
-        let mut question = OneAnswer {
+        let started = Instant::now();
+        let judge = self.judge(seen)?;
+        let observation_ms = milliseconds(started.elapsed());
+        let mut question = Asking {
             planner: self,
             observation,
             seen,
             terms,
+            judge,
             unreadable: None,
         };
-        Attempts::make(&mut question, AttemptLimits::ONE, 0.0)
+        Attempts::make(&mut question, self.limits(), observation_ms)
     }
 
     fn without_plan(&self, why: NoPlan) -> Decision {
@@ -226,6 +267,7 @@ impl<A: ChatAgent> Planner for LanguagePlanner<A> {
     ) -> Result<(), PlannerError> {
         self.agent.reset();
         (self.clock, self.has_plan) = (Clock::default(), false);
+        self.memory = PdmMemory::default();
         self.calls.clear();
         if initialization.route.lanes(initialization.map).is_empty() {
             Err(PlannerError::EmptyRoute)

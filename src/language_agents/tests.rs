@@ -2,13 +2,14 @@
 
 use crate::entries;
 use planagent_agent::planner::{
-    CodeSource, Decision, LanguageAgentSettings, NoPlan, PlanAgentSettings, PlanningCall,
+    Attempt, CodeSource, Decision, LanguageAgentSettings, NoPlan, PlanAgentSettings, PlanningCall,
     Unreadable,
 };
 use planagent_agent::planner_registry::{PlannerEntry, PlannerParts};
 use planagent_agent::reasoning::{
     PlannerAnswer, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
 };
+use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
 use planagent_mllm::{
     Answer, Constraint, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm,
@@ -164,6 +165,13 @@ fn straight_on(prompt: &str, _: usize) -> String {
     format!("Reasons: none\nAction: move forward at constant speed\nTrajectory: [{list}]")
 }
 
+/// Goes away to the right of the road, meters in a half second.
+fn off_the_road(aside: f64) -> String {
+    let places = (1..=6).map(f64::from);
+    let places = places.map(|i| format!("({:.2},{:.2})", aside * i, 2.5 * i));
+    format!("Trajectory: [{}]", places.collect::<Vec<_>>().join(", "))
+}
+
 #[test]
 fn gpt_driver_drives_the_default_scene_and_asks_every_second() {
     for challenge in Challenge::CLOSED_LOOP {
@@ -202,9 +210,7 @@ fn off_the_road_the_plan_goes_on_to_the_end() {
         if number > 1 {
             return straight_on(prompt, number);
         }
-        let places =
-            (1..=6).map(|i| format!("({:.2},{:.2})", 2.0 * f64::from(i), 2.5 * f64::from(i)));
-        format!("Trajectory: [{}]", places.collect::<Vec<_>>().join(", "))
+        off_the_road(2.0)
     });
     let scenario = default_scene();
     let settings = PlanAgentSettings::default();
@@ -410,6 +416,71 @@ fn an_oracle_drives_by_the_waypoints_of_the_best_codes() {
     assert!(
         (reached.x - planned.ahead).abs() < 1.0 && (reached.y + planned.right).abs() < 0.5,
         "{reached:?} {planned:?}"
+    );
+}
+
+/// Settings under which Reflection scores the plans of an agent.
+pub(crate) fn with_reflection(agent: &str) -> PlanAgentSettings {
+    let mut settings = PlanAgentSettings::default();
+    settings.language_agents.agent_mut(agent).reflection = Some(true);
+    settings
+}
+
+#[test]
+fn reflection_refuses_a_plan_and_the_model_is_asked_again_with_feedback() {
+    // A way off the road is refused; what is asked for again drives straight on.
+    let model = Stub::new(|prompt, number| {
+        if prompt.contains("refused") {
+            return straight_on(prompt, number);
+        }
+        off_the_road(2.0)
+    });
+    let (calls, _) = drive(
+        "gpt-driver",
+        Some(model.clone()),
+        &default_scene(),
+        Challenge::NonReactive,
+        &with_reflection("gpt-driver"),
+    );
+    let first = calls.first().unwrap();
+    assert_eq!(first.decision, Decision::Execute(1), "{:?}", first.attempts);
+    let verdicts = first.attempts.iter().map(|attempt| {
+        let report = attempt.reflection.as_ref().unwrap();
+        (report.verdict, report.score >= report.threshold)
+    });
+    assert_eq!(
+        verdicts.collect::<Vec<_>>(),
+        [(Verdict::Rethink, false), (Verdict::Execute, true)]
+    );
+    let asked = model.asked.lock().unwrap();
+    assert!(
+        !asked[0].0.contains("refused") && asked[1].0.contains("Parts: collision"),
+        "{}",
+        asked[1].0
+    );
+}
+
+#[test]
+fn the_best_of_the_refused_plans_drives_where_all_are_refused() {
+    let model = Stub::new(|_, number| off_the_road(if number % 3 == 1 { 2.0 } else { 2.5 }));
+    let settings = with_reflection("gpt-driver");
+    let (calls, _) = drive(
+        "gpt-driver",
+        Some(model),
+        &default_scene(),
+        Challenge::NonReactive,
+        &settings,
+    );
+    let first = calls.first().unwrap();
+    assert_eq!(first.attempts.len(), settings.reflection.max_exec);
+    let score = |attempt: &Attempt| attempt.reflection.as_ref().map(|report| report.score);
+    let scores: Vec<Option<f64>> = first.attempts.iter().map(score).collect();
+    let Decision::Exhausted(index) = first.decision else {
+        panic!("{:?}: {scores:?}", first.decision);
+    };
+    assert!(
+        scores.iter().all(|score| *score <= scores[index]),
+        "{scores:?}"
     );
 }
 

@@ -2,6 +2,7 @@
 
 use super::PlannerError;
 use super::record::{Attempt, Proposal};
+use super::settings::AfterMaxExec;
 use super::unreadable::Unreadable;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
 use crate::reflection::{ReflectionReport, Verdict};
@@ -228,7 +229,7 @@ impl<P> Attempts<P> {
     }
 
     /// The last attempt with a plan.
-    pub(super) fn last(&self) -> Option<usize> {
+    fn last(&self) -> Option<usize> {
         self.tried.iter().rposition(|tried| tried.plan.is_some())
     }
 
@@ -243,6 +244,14 @@ impl<P> Attempts<P> {
         plans
             .max_by(|(_, a), (_, b)| a.score().total_cmp(&b.score()))
             .map(|(index, _)| index)
+    }
+
+    /// The attempt whose plan becomes active although all were refused.
+    pub(super) fn refused(&self, after: AfterMaxExec) -> Option<usize> {
+        match after {
+            AfterMaxExec::Last => self.last(),
+            AfterMaxExec::Best => self.best(),
+        }
     }
 
     /// The score of an attempt.

@@ -57,10 +57,12 @@ pub trait LanguageAgent {
 
     /// What comes of the attempts.
     fn decide(&self, attempts: &Attempts<Self::Plan>) -> Decision {
-        match (attempts.accepted(), &attempts.interruption) {
-            (Some(index), _) => Decision::Execute(index),
-            (None, Some(why)) => self.without_plan(NoPlan::Interrupted(why.clone())),
-            (None, None) => self.without_plan(NoPlan::Unreadable(attempts.unreadable())),
+        let refused = attempts.refused(self.settings().reflection.after_max_exec);
+        match (attempts.accepted(), &attempts.interruption, refused) {
+            (Some(index), ..) => Decision::Execute(index),
+            (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),
+            (None, None, Some(index)) => Decision::Exhausted(index),
+            (None, None, None) => self.without_plan(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
 

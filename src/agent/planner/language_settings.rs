@@ -36,6 +36,10 @@ pub struct AgentSettings {
     /// Remembered items in a prompt.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub examples: Option<usize>,
+    /// Whether Reflection scores the plans, and the model is asked again for what it refuses. The
+    /// originals have no such step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reflection: Option<bool>,
     /// The file of the memory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<String>,
@@ -62,6 +66,7 @@ impl AgentSettings {
             interval_s: self.interval_s.or(Some(keys.interval_s)),
             max_tokens: self.max_tokens.or(Some(keys.max_tokens)),
             examples: self.examples.or(keys.examples),
+            reflection: Some(self.reflects()),
             memory: self.memory.clone(),
         }
     }
@@ -76,6 +81,7 @@ impl AgentSettings {
                 .filter(|set| set.total_cmp(&keys.interval_s).is_ne()),
             max_tokens: self.max_tokens.filter(|set| *set != keys.max_tokens),
             examples: self.examples.filter(|set| Some(*set) != keys.examples),
+            reflection: self.reflection.filter(|set| *set),
             memory: self.memory,
         }
     }
@@ -96,6 +102,12 @@ impl AgentSettings {
     #[doc(hidden)]
     pub fn examples(&self, keys: &AgentKeys) -> usize {
         self.examples.or(keys.examples).unwrap_or(0)
+    }
+
+    /// Whether Reflection scores the plans.
+    #[doc(hidden)]
+    pub fn reflects(&self) -> bool {
+        self.reflection.unwrap_or(false)
     }
 }
 
@@ -188,10 +200,11 @@ mod tests {
         let set = AgentSettings {
             interval_s: Some(1.0),
             max_tokens: Some(8),
+            reflection: Some(false),
             ..AgentSettings::default()
         };
         let changes = set.clone().changes(&KEYS);
-        assert_eq!(changes.interval_s, None);
+        assert_eq!((changes.interval_s, changes.reflection), (None, None));
         assert_eq!(changes.whole(&KEYS), set.whole(&KEYS));
         assert_eq!((set.interval_s(&KEYS), set.max_tokens(&KEYS)), (1.0, 8));
     }

@@ -176,10 +176,7 @@ impl LanguageAgent for PlanAgent {
     }
 
     fn decide(&self, attempts: &Attempts<IdmPlan>) -> Decision {
-        let refused = match self.settings.reflection.after_max_exec {
-            AfterMaxExec::Last => attempts.last(),
-            AfterMaxExec::Best => attempts.best(),
-        };
+        let refused = attempts.refused(self.settings.reflection.after_max_exec);
         match (attempts.accepted(), &attempts.interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
             (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),

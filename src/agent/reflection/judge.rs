@@ -13,8 +13,8 @@ use planagent_score::pdm::{
     score_proposals, simulate_proposals,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
-use planagent_world::geometry::{GeometryError, Polyline};
-use planagent_world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
+use planagent_world::geometry::{GeometryError, Polyline, Pose};
+use planagent_world::{EgoState, PACIFICA, STEP_S, SceneView, Trajectory, TrajectoryError};
 
 /// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be
 /// at fault for a collision within two seconds. What the ego touches is added to `memory`; areas
@@ -259,6 +259,14 @@ impl<'a> Judge<'a> {
             self.reference = ProgressReference::Reach;
         }
         Ok(())
+    }
+
+    /// The ego's states where it follows a trajectory over the horizon, as [`Self::assess`] takes
+    /// them.
+    pub fn follow(&self, trajectory: &Trajectory) -> Vec<EgoState> {
+        let states = trajectory.states().iter().take(self.steps + 1);
+        let path: Vec<Pose> = states.map(|state| state.rear_axle).collect();
+        simulate_proposal(self.scene.ego, &path, JerkPenalty::PdmClosed)
     }
 
     fn simulate(&self, plan: &IdmPlan) -> Vec<EgoState> {

@@ -297,6 +297,10 @@ impl ChatAgent for AgentDriver {
         self.settings.interval_s(&KEYS)
     }
 
+    fn reflects(&self) -> bool {
+        self.settings.reflects()
+    }
+
     fn reset(&mut self) {
         self.track = WaypointTrack::default();
     }
@@ -336,6 +340,7 @@ impl ChatAgent for AgentDriver {
                     facts => facts,
                     experience => experience,
                     reasons => reasons,
+                    feedback => chat.feedback(),
                 },
             )?,
             constraint: Constraint::Sequence(vec![

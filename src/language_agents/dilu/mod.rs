@@ -153,7 +153,11 @@ impl Dilu {
     }
 
     /// What the model is asked, with the decisions that it remembers.
-    fn question_texts(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
+    fn question_texts(
+        &self,
+        observation: &Observation,
+        feedback: Option<&str>,
+    ) -> Result<QuestionTexts, PromptError> {
         let recalled = self
             .recall
             .nearest(&observation.description, self.settings.examples(&KEYS));
@@ -168,6 +172,7 @@ impl Dilu {
                 context! {
                     examples => examples,
                     scene_text => &observation.description,
+                    feedback => feedback,
                     actions => observation.actions(),
                 },
             )?,
@@ -211,6 +216,10 @@ impl ChatAgent for Dilu {
         self.settings.interval_s(&KEYS)
     }
 
+    fn reflects(&self) -> bool {
+        self.settings.reflects()
+    }
+
     fn reset(&mut self) {
         self.set_points = None;
     }
@@ -234,7 +243,7 @@ impl ChatAgent for Dilu {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<DrivingAction>, ReasoningError> {
-        let QuestionTexts { system, prompt } = self.question_texts(observation)?;
+        let QuestionTexts { system, prompt } = self.question_texts(observation, chat.feedback())?;
         chat.open(system)?;
         let asked = Asked {
             round: RoundName::Action,

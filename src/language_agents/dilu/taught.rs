@@ -15,7 +15,7 @@ const LIGHT: f64 = 60.0;
 
 impl Taught for Dilu {
     fn question(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
-        self.question_texts(observation)
+        self.question_texts(observation, None)
     }
 
     fn best(&self, simulation: &ClosedLoop<'_>, _: &Candidate) -> Option<DrivingAction> {

@@ -144,12 +144,16 @@ fn nearest_objects<'a>(scene: &SceneView<'a>) -> impl Iterator<Item = NamedObjec
 
 impl GptDriver {
     /// What the model is asked.
-    fn question_texts(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
+    fn question_texts(
+        &self,
+        observation: &Observation,
+        feedback: Option<&str>,
+    ) -> Result<QuestionTexts, PromptError> {
         Ok(QuestionTexts {
             system: self.prompts.render("system", context! {})?,
             prompt: self.prompts.render(
                 "question",
-                context! { scene_text => Self::scene_text(observation) },
+                context! { scene_text => Self::scene_text(observation), feedback => feedback },
             )?,
         })
     }
@@ -162,6 +166,10 @@ impl ChatAgent for GptDriver {
 
     fn interval_s(&self) -> f64 {
         self.settings.interval_s(&KEYS)
+    }
+
+    fn reflects(&self) -> bool {
+        self.settings.reflects()
     }
 
     fn reset(&mut self) {
@@ -185,7 +193,7 @@ impl ChatAgent for GptDriver {
         observation: &Observation,
         chat: &mut Chat<'_>,
     ) -> Result<Reply<WaypointList>, ReasoningError> {
-        let QuestionTexts { system, prompt } = self.question_texts(observation)?;
+        let QuestionTexts { system, prompt } = self.question_texts(observation, chat.feedback())?;
         chat.open(system)?;
         let asked = Asked {
             round: RoundName::Waypoints,

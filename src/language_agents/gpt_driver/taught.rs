@@ -29,7 +29,7 @@ const HALF_SECOND: f64 = 0.5;
 
 impl Taught for GptDriver {
     fn question(&self, observation: &Observation) -> Result<QuestionTexts, PromptError> {
-        self.question_texts(observation)
+        self.question_texts(observation, None)
     }
 
     fn best(&self, simulation: &ClosedLoop<'_>, code: &Candidate) -> Option<WaypointList> {

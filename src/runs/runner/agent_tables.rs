@@ -100,8 +100,8 @@ mod tests {
         let config = read("[language_agents.dilu]\nexamples = 1\ninterval_s = 1.0\n").unwrap();
         let text = toml::to_string(&config).unwrap();
         for line in [
-            "[language_agents.gpt_driver]\ninterval_s = 1.0\nmax_tokens = 256\n",
-            "[language_agents.dilu]\ninterval_s = 1.0\nmax_tokens = 320\nexamples = 1\n",
+            "[language_agents.gpt_driver]\ninterval_s = 1.0\nmax_tokens = 256\nreflection = false\n",
+            "[language_agents.dilu]\ninterval_s = 1.0\nmax_tokens = 320\nexamples = 1\nreflection = false\n",
             "[language_agents.agent_driver]\ninterval_s = 2.0\nmax_tokens = 256\n",
         ] {
             assert!(text.contains(line), "{text}");
@@ -131,6 +131,10 @@ mod tests {
             (
                 "[language_agents.agent_driver]\nexamples = 1\n",
                 "unknown field `examples`",
+            ),
+            (
+                "[language_agents.dilu]\nreflection = 'yes'\n",
+                "invalid type",
             ),
             (
                 "[language_agents.dilu]\nsteps = 1\n",

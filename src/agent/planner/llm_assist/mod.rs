@@ -37,7 +37,6 @@ use planagent_mllm::{Mllm, milliseconds};
 use planagent_score::pdm::{
     Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, ReferencePath, plan_tuned,
 };
-use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, STEP_S, SceneView, Trajectory, TrajectoryError};
 use std::sync::Arc;
@@ -349,14 +348,12 @@ impl Question for AssistCall<'_> {
     }
 
     fn try_out(&mut self, assistance: Assistance) -> Result<Option<Trial<Assisted>>, PlannerError> {
-        let ego = self.scene.ego;
-        let plan = Assisted::from_answer(&assistance, ego)?;
+        let plan = Assisted::from_answer(&assistance, self.scene.ego)?;
         let (path, states): (Vec<Pose>, Vec<EgoState>) = match &plan {
             Assisted::Plan(trajectory) => {
                 let states = trajectory.states().iter().take(PROPOSAL_STEPS + 1);
-                let path: Vec<Pose> = states.map(|state| state.rear_axle).collect();
-                let states = simulate_proposal(ego, &path, JerkPenalty::PdmClosed);
-                (path, states)
+                let path = states.map(|state| state.rear_axle).collect();
+                (path, self.judge.follow(trajectory))
             }
             Assisted::Parameters(parameters) => {
                 let mut plan = plan_tuned(self.path, self.scene, self.collided, *parameters)?;
