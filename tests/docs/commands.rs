@@ -280,6 +280,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/agents.md",
+        "planagent simulate --planner gpt-driver --set language_agents.gpt_driver.reflection=true --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
         "planagent memory fill dilu --out dilu.json --scenarios 20 --model HuggingFaceTB/SmolLM2-135M-Instruct",
         WEIGHTS,
     ),
