@@ -372,6 +372,21 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
+        "planagent study agents --limit 2 --suite generated-test14-hard --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
+        "docs/results.md",
+        "planagent study agents --limit 28 --scenario folder/of/recordings --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
+        "docs/results.md",
+        "planagent simulate --split generated-test14-hard --limit 14 --challenge reactive --planner dilu --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief --adapter adapter --set language_agents.dilu.reflection=true",
+        WEIGHTS,
+    ),
+    (
+        "docs/results.md",
         "planagent --seed 16 dataset --for messages --out data/chats --states 3000 --validation 300 --model nano --prompt-set brief --modified 0.5",
         HOURS,
     ),
