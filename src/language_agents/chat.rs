@@ -40,19 +40,24 @@ impl<'a> Chat<'a> {
         settings: &'a ReasoningSettings,
         seed: u64,
         deadline: Deadline,
-        feedback: Option<String>,
     ) -> Self {
         Self {
             model,
             settings,
             seed,
             deadline,
-            feedback,
+            feedback: None,
             conversation: None,
             opened: 0,
             rounds: Vec::new(),
             interruption: None,
         }
+    }
+
+    /// Begins another attempt, with what Reflection says of the last one. Its records stand alone.
+    pub(crate) fn begin_attempt(&mut self, feedback: Option<String>) {
+        self.feedback = feedback;
+        self.rounds.clear();
     }
 
     /// What Reflection says of the last answer of this planning call, for the prompt that asks for

@@ -9,7 +9,9 @@ use planagent_agent::planner::{
     PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlanningCall, Question, Shown, Trial, Unreadable, comfortable_stop, planning_call,
 };
-use planagent_agent::reasoning::{Feedback, Parsed, ReasoningError, ReasoningTrace, feedback_text};
+use planagent_agent::reasoning::{
+    Feedback, Parsed, PromptSet, ReasoningError, ReasoningTrace, feedback_text,
+};
 use planagent_agent::reflection::Judge;
 use planagent_mllm::milliseconds;
 use planagent_score::pdm::PdmMemory;
@@ -125,12 +127,22 @@ impl<A: ChatAgent> LanguagePlanner<A> {
     }
 }
 
+/// Where the answers of a planning call come from.
+enum Answers<'a, A> {
+    /// One chat for all attempts, so that each draws from a stream of its own.
+    Asked {
+        chat: Chat<'a>,
+        prompts: &'a PromptSet,
+    },
+    Handed(&'a Handed<A>),
+}
+
 /// The question of a planning call. It is asked again where Reflection refuses the plan.
 struct Asking<'a, 's, A: ChatAgent> {
     planner: &'a LanguagePlanner<A>,
     observation: &'a A::Observation<'s>,
     seen: GraphedScene<'a>,
-    terms: CallTerms,
+    answers: Answers<'a, A::Answer>,
     /// `None` where no plan is scored.
     judge: Option<Judge<'a>>,
     /// Why the answer is no plan.
@@ -145,27 +157,20 @@ impl<A: ChatAgent> Question for Asking<'_, '_, A> {
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<Option<ReasoningTrace<A::Answer>>, ReasoningError> {
-        let AskedModel {
-            model,
-            prompts,
-            reasoning,
-        } = match &self.planner.source {
-            Source::Model(asked) => asked,
-            Source::Handed(handed) => {
+        let (chat, prompts) = match &mut self.answers {
+            Answers::Asked { chat, prompts } => (chat, prompts),
+            Answers::Handed(handed) => {
                 return Ok(handed.take().map(ReasoningTrace::without_rounds));
             }
         };
-        let CallTerms { seed, deadline } = self.terms;
-        let feedback = feedback
-            .map(|feedback| feedback_text(prompts, feedback))
-            .transpose()?;
-        let mut chat = Chat::new(model.as_ref(), reasoning, seed, deadline, feedback);
-        let reply = self.planner.agent.ask(self.observation, &mut chat)?;
+        let feedback = feedback.map(|feedback| feedback_text(prompts, feedback));
+        chat.begin_attempt(feedback.transpose()?);
+        let reply = self.planner.agent.ask(self.observation, chat)?;
         self.unreadable = reply.unreadable;
         let (answer, errors) = (reply.answer, reply.errors);
         Ok(Some(ReasoningTrace {
-            rounds: chat.rounds,
-            interruption: chat.interruption,
+            rounds: std::mem::take(&mut chat.rounds),
+            interruption: chat.interruption.take(),
             ..ReasoningTrace::of_parsed(Parsed { answer, errors })
         }))
     }
@@ -223,11 +228,22 @@ impl<A: ChatAgent> LanguageAgent for LanguagePlanner<A> {
         let started = Instant::now();
         let judge = self.judge(seen)?;
         let observation_ms = milliseconds(started.elapsed());
+        let answers = match &self.source {
+            Source::Model(AskedModel {
+                model,
+                prompts,
+                reasoning,
+            }) => Answers::Asked {
+                chat: Chat::new(model.as_ref(), reasoning, terms.seed, terms.deadline),
+                prompts,
+            },
+            Source::Handed(handed) => Answers::Handed(handed),
+        };
         let mut question = Asking {
             planner: self,
             observation,
             seen,
-            terms,
+            answers,
             judge,
             unreadable: None,
         };

@@ -16,6 +16,7 @@ use planagent_mllm::{
     MllmError, ModelDescription, PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent_scenario::{HeldScenario, Scenario, generator};
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 /// An answer by the question and its number.
@@ -26,6 +27,8 @@ pub(crate) struct Stub {
     answer: Script,
     finish: FinishReason,
     pub(crate) asked: Mutex<Vec<(String, Constraint)>>,
+    /// The seeds of its conversations.
+    seeds: Mutex<Vec<u64>>,
 }
 
 impl Stub {
@@ -34,6 +37,7 @@ impl Stub {
             answer: Box::new(answer),
             finish: FinishReason::Complete,
             asked: Mutex::default(),
+            seeds: Mutex::default(),
         })
     }
 
@@ -42,6 +46,7 @@ impl Stub {
             answer: Box::new(answer),
             finish: FinishReason::Length,
             asked: Mutex::default(),
+            seeds: Mutex::default(),
         })
     }
 }
@@ -72,9 +77,10 @@ impl Mllm for Stub {
     fn converse<'a>(
         &'a self,
         prefix: &PromptPrefix,
-        _: u64,
+        seed: u64,
     ) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         assert!(prefix.image.is_none(), "these agents read text alone");
+        self.seeds.lock().unwrap().push(seed);
         Ok(Box::new(StubChat(self)))
     }
 }
@@ -420,7 +426,7 @@ fn an_oracle_drives_by_the_waypoints_of_the_best_codes() {
 }
 
 /// Settings under which Reflection scores the plans of an agent.
-pub(crate) fn with_reflection(agent: &str) -> PlanAgentSettings {
+fn with_reflection(agent: &str) -> PlanAgentSettings {
     let mut settings = PlanAgentSettings::default();
     settings.language_agents.agent_mut(agent).reflection = Some(true);
     settings
@@ -466,13 +472,20 @@ fn the_best_of_the_refused_plans_drives_where_all_are_refused() {
     let settings = with_reflection("gpt-driver");
     let (calls, _) = drive(
         "gpt-driver",
-        Some(model),
+        Some(model.clone()),
         &default_scene(),
         Challenge::NonReactive,
         &settings,
     );
     let first = calls.first().unwrap();
     assert_eq!(first.attempts.len(), settings.reflection.max_exec);
+    let seeds = model.seeds.lock().unwrap();
+    let of_call: BTreeSet<u64> = seeds[..first.attempts.len()].iter().copied().collect();
+    assert_eq!(
+        of_call.len(),
+        first.attempts.len(),
+        "each attempt draws anew"
+    );
     let score = |attempt: &Attempt| attempt.reflection.as_ref().map(|report| report.score);
     let scores: Vec<Option<f64>> = first.attempts.iter().map(score).collect();
     let Decision::Exhausted(index) = first.decision else {

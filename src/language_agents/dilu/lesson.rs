@@ -132,7 +132,7 @@ pub(crate) fn lesson_items(
             .render(template, values)
             .map_err(ReasoningError::from)
     };
-    let mut chat = Chat::new(model.as_ref(), reasoning, seed, Deadline::NONE, None);
+    let mut chat = Chat::new(model.as_ref(), reasoning, seed, Deadline::NONE);
     chat.open(render("lesson_system", context! {})?)?;
     let prompt = render(
         "lesson",
