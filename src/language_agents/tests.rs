@@ -484,7 +484,7 @@ fn the_best_of_the_refused_plans_drives_where_all_are_refused() {
     assert_eq!(
         of_call.len(),
         first.attempts.len(),
-        "each attempt draws anew"
+        "each attempt draws its own numbers"
     );
     let score = |attempt: &Attempt| attempt.reflection.as_ref().map(|report| report.score);
     let scores: Vec<Option<f64>> = first.attempts.iter().map(score).collect();
