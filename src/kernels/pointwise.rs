@@ -15,12 +15,17 @@ impl Activation {
     pub fn forward(self, x: &Tensor) -> Result<Tensor> {
         let width = x.dim(D::Minus1)?;
         row_by_row(x, width, width, |out, values| {
-            Instructions::best().run(EachKernel {
-                activation: self,
-                values,
-                out,
-            });
+            out.copy_from_slice(values);
+            Instructions::best().run(self.in_place(out));
         })
+    }
+
+    /// Applies the function to numbers where they lie.
+    pub(crate) fn in_place(self, values: &mut [f32]) -> impl Kernel {
+        EachKernel {
+            activation: self,
+            values,
+        }
     }
 
     /// f(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
@@ -131,32 +136,27 @@ fn reduced(row: &[f32], start: f32, combine: impl Fn(f32, f32) -> f32) -> f32 {
 
 struct EachKernel<'a> {
     activation: Activation,
-    values: &'a [f32],
-    out: &'a mut [f32],
+    values: &'a mut [f32],
 }
 
 impl Kernel for EachKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Self {
-            activation,
-            values,
-            out,
-        } = self;
+        let Self { activation, values } = self;
         match activation {
-            Activation::Gelu => map(values, out, gelu),
-            Activation::GeluTanh => map(values, out, gelu_tanh),
-            Activation::QuickGelu => map(values, out, |x| x * sigmoid(1.702 * x)),
-            Activation::Relu => map(values, out, |x| if x < 0.0 { 0.0 } else { x }),
-            Activation::Silu => map(values, out, |x| x * sigmoid(x)),
+            Activation::Gelu => map(values, gelu),
+            Activation::GeluTanh => map(values, gelu_tanh),
+            Activation::QuickGelu => map(values, |x| x * sigmoid(1.702 * x)),
+            Activation::Relu => map(values, |x| if x < 0.0 { 0.0 } else { x }),
+            Activation::Silu => map(values, |x| x * sigmoid(x)),
         }
     }
 }
 
 #[inline(always)]
-fn map(values: &[f32], out: &mut [f32], function: impl Fn(f32) -> f32) {
-    for (out, value) in out.iter_mut().zip(values) {
-        *out = function(*value);
+fn map(values: &mut [f32], function: impl Fn(f32) -> f32) {
+    for value in values {
+        *value = function(*value);
     }
 }
 

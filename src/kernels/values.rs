@@ -2,6 +2,7 @@
 
 use candle_core::{Result, Storage, Tensor, bail};
 use rayon::prelude::*;
+use std::mem::MaybeUninit;
 
 /// Numbers that a thread computes at once in elementwise work. Twice as many are worth waking other
 /// threads for.
@@ -20,6 +21,17 @@ pub(crate) fn with_contiguous<T>(
     match storage.as_slice::<f32>()?.get(start..end) {
         Some(values) => read(values),
         None => bail!("the tensor extends beyond its storage"),
+    }
+}
+
+/// As [`with_values`], of a tensor that may be absent.
+pub(crate) fn with_optional<T>(
+    tensor: Option<&Tensor>,
+    read: impl FnOnce(Option<&[f32]>) -> Result<T>,
+) -> Result<T> {
+    match tensor {
+        Some(tensor) => with_values(tensor, |values| read(Some(values))),
+        None => read(None),
     }
 }
 
@@ -43,15 +55,39 @@ pub(crate) fn row_by_row(
         _ => bail!("expected rows of {inputs} numbers, found {:?}", x.shape()),
     }
     with_values(x, |values| {
-        let mut out = vec![0f32; values.len() / inputs * outputs];
-        if out.len() < 2 * TASK_NUMBERS {
+        let count = values.len() / inputs * outputs;
+        let out = if count < 2 * TASK_NUMBERS {
+            let mut out = vec![0f32; count];
             apply(&mut out, values);
+            out
         } else {
             let rows = (TASK_NUMBERS / outputs).max(1);
-            out.par_chunks_mut(rows * outputs)
-                .zip(values.par_chunks(rows * inputs))
-                .for_each(|(out, x)| apply(out, x));
-        }
+            in_parts(count, rows * outputs, |part, out| {
+                let first = part * rows * inputs;
+                apply(out, &values[first..first + out.len() / outputs * inputs]);
+            })
+        };
         Tensor::from_vec(out, shape, x.device())
     })
+}
+
+/// `count` numbers that the threads fill in parts of `part`. `fill` takes the index of a part, and
+/// the part as zeros, which its own thread has just written: to write all zeros first would take
+/// a thread as long as a norm or an activation takes it.
+#[allow(unsafe_code, reason = "all parts are written before they are read")]
+pub(crate) fn in_parts<T: Copy + Default + Send>(
+    count: usize,
+    part: usize,
+    fill: impl Fn(usize, &mut [T]) + Sync,
+) -> Vec<T> {
+    let mut numbers = Vec::with_capacity(count);
+    let parts = numbers.spare_capacity_mut()[..count].par_chunks_mut(part.max(1));
+    parts.enumerate().for_each(|(index, part)| {
+        part.fill(MaybeUninit::new(T::default()));
+        // SAFETY: the line above has written all of them.
+        fill(index, unsafe { part.assume_init_mut() });
+    });
+    // SAFETY: each part is written.
+    unsafe { numbers.set_len(count) };
+    numbers
 }

@@ -10,6 +10,7 @@ use super::projected::Projected;
 use super::unit::{KEY_VECTORS, MIN_TILE_REGISTERS, PartialOutput, Scores, rows_at_once};
 use super::{AttentionMask, KeyValues, Precision, attend, count, exact_tokens};
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
+use crate::values::in_parts;
 use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -85,9 +86,7 @@ pub(super) fn mix_rounded(rows: &Projected<'_>, instructions: Instructions) -> V
         .map(|head| RoundedBlock::of_head(rows, head, instructions))
         .collect();
     let (width, step) = (shape.query_heads * shape.width, exact_tokens(shape));
-    let mut out = vec![0f32; tokens * width];
-    let chunks = out.par_chunks_mut(step * width).enumerate();
-    chunks.for_each(|(index, out)| {
+    in_parts(tokens * width, step * width, |index, out| {
         let tokens = index * step..tokens.min((index + 1) * step);
         let unit = |(head, blocks): (usize, &Vec<RoundedBlock>)| {
             RoundedUnit {
@@ -102,8 +101,7 @@ pub(super) fn mix_rounded(rows: &Projected<'_>, instructions: Instructions) -> V
         for (head, part) in parts.iter().enumerate() {
             part.write(shape, head, out);
         }
-    });
-    out
+    })
 }
 
 impl RoundedBlock {
@@ -441,7 +439,8 @@ fn weigh<S: Simd, const R: usize>(
 ) -> (Weights<R>, [f32; LANES]) {
     let mut weights = [[[0; LANES]; KEY_VECTORS / 2]; R];
     let mut growth = [0f32; LANES];
-    let mut sums = [0f32; R];
+    let mut sums = [simd.ints(0); R];
+    // A loop for each step, since a row's steps wait for one another and rows do not.
     for r in 0..R {
         if positions < BLOCK_POSITIONS {
             scores[r].as_flattened_mut()[positions..].fill(f32::NEG_INFINITY);
@@ -453,19 +452,21 @@ fn weigh<S: Simd, const R: usize>(
         let top = max_score[r].max(simd.max_lane(most));
         growth[r] = (max_score[r] - top) * std::f32::consts::LN_2;
         max_score[r] = top;
+    }
+    for r in 0..R {
         // Of the rounded weights, since these multiply the values.
-        let mut sum = simd.ints(0);
         for (pairs, [low, high]) in weights[r].iter_mut().zip(scores[r].as_chunks::<2>().0) {
+            let top = max_score[r];
             let both = simd.pair(weight(simd, low, top), weight(simd, high, top));
             simd.store_ints(both, pairs);
-            sum = simd.dot_pairs(sum, both, ONES);
+            sums[r] = simd.dot_pairs(sums[r], both, ONES);
         }
-        sums[r] = simd.sum(simd.to_floats(sum));
     }
     let mut rescale = [0f32; LANES];
     simd.store(simd.exp(simd.load(&growth)), &mut rescale);
     for r in 0..R {
-        weight_sum[r] = weight_sum[r] * rescale[r] + sums[r];
+        let sum = simd.sum(simd.to_floats(sums[r]));
+        weight_sum[r] = weight_sum[r] * rescale[r] + sum;
     }
     (weights, rescale)
 }

@@ -11,6 +11,9 @@ pub(super) const TILES: usize = 2;
 /// fill AVX-512's registers.
 pub(super) const MAX_BATCH: usize = 6;
 
+/// Outputs that a kernel computes at once.
+pub(super) const COLUMNS: usize = TILES * LANES;
+
 /// Sums of one row of activations with the outputs of [`TILES`] tiles.
 pub(super) type TileSums = [[f32; LANES]; TILES];
 

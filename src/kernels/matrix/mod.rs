@@ -12,6 +12,7 @@ mod packed_tiles;
 mod probe;
 mod product;
 mod quantized;
+mod results;
 mod simd;
 mod stored_format;
 #[cfg(test)]
@@ -31,13 +32,13 @@ pub use blocks::widen;
 pub use line::{CacheLine, LANES};
 use packed_tiles::PackedTiles;
 pub(crate) use probe::byte_operations;
-use product::Columns;
+use results::{Onto, Results, Then};
 pub use simd::{Instructions, Kernel, Simd};
 pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
-use super::Work;
-use super::values::{TASK_NUMBERS, with_values};
+use super::values::{TASK_NUMBERS, with_optional, with_values};
+use super::{Activation, Work};
 
 /// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of
 /// the weights.
@@ -268,6 +269,17 @@ impl Matrix {
         bias: Option<&Tensor>,
         residual: Option<&Tensor>,
     ) -> Result<Tensor> {
+        self.forward_then(x, bias, residual, None)
+    }
+
+    /// As [`Self::forward_onto`], and a function of each sum, in the same pass over the numbers.
+    pub(crate) fn forward_then(
+        &self,
+        x: &Tensor,
+        bias: Option<&Tensor>,
+        residual: Option<&Tensor>,
+        activation: Option<Activation>,
+    ) -> Result<Tensor> {
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
             bail!(
@@ -275,47 +287,69 @@ impl Matrix {
                 self.inputs
             );
         }
-        let read = |tensor: &Tensor, shape: &[usize]| {
-            if tensor.dims() == shape {
-                with_values(tensor, |values| Ok(values.to_vec()))
-            } else {
-                bail!(
-                    "cannot add a tensor of {:?} to a product of {shape:?}",
-                    tensor.shape()
-                )
+        let shape = [tokens, self.outputs];
+        let of_shapes = [(bias, &shape[1..]), (residual, &shape[..])];
+        for (tensor, expected) in of_shapes {
+            if let Some(tensor) = tensor.filter(|tensor| tensor.dims() != expected) {
+                let found = tensor.shape();
+                bail!("cannot add a tensor of {found:?} to a product of {expected:?}");
             }
-        };
+        }
         Work::count(tokens, self.inputs, self.outputs, self.bytes());
-        let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
-        // The sums start at the residual, so that adding it takes no pass over the result of its
-        // own.
-        let mut result = match residual {
-            Some(residual) => read(residual, &[tokens, self.outputs])?,
-            None => vec![0.0; tokens * self.outputs],
-        };
-        with_values(x, |x| {
-            let mut first = 0;
-            for segment in &self.segments {
-                let bias = bias
-                    .as_deref()
-                    .and_then(|bias| bias.get(first..first + segment.outputs()));
-                let mut add = |x: &[f32], bias: Option<&[f32]>| {
-                    let (stride, width) = (self.outputs, segment.outputs());
-                    if let Some(columns) = Columns::new(&mut result, stride, first, width, bias) {
-                        product::multiply(segment, x, &columns, Instructions::best());
-                    }
-                };
-                add(x, bias);
-                if let Some(scaled) = segment.weight_format().activations_a_scale()
-                    && self.in_two_terms
-                {
-                    add(&quantized::lost_by_rounding(x, self.inputs, scaled), None);
-                }
-                first += segment.outputs();
-            }
-            Ok(())
+        let result = with_values(x, |x| {
+            with_optional(bias, |bias| {
+                with_optional(residual, |residual| {
+                    let onto = residual.map_or(Onto::Nothing, Onto::Residual);
+                    Ok(self.product(
+                        x,
+                        tokens,
+                        Then {
+                            onto,
+                            bias,
+                            activation,
+                        },
+                    ))
+                })
+            })
         })?;
-        Tensor::from_vec(result, (tokens, self.outputs), &Device::Cpu)
+        match result {
+            Some(result) => Tensor::from_vec(result, shape.as_slice(), &Device::Cpu),
+            None => bail!(
+                "the segments of a matrix do not have its {} rows",
+                self.outputs
+            ),
+        }
+    }
+
+    /// The numbers of [`Self::forward_then`]; `None` if segments are missing.
+    fn product(&self, x: &[f32], tokens: usize, then: Then<'_>) -> Option<Vec<f32>> {
+        let instructions = Instructions::best();
+        let mut results = Results::with_room(tokens, self.outputs);
+        for segment in &self.segments {
+            let rounded = segment.weight_format().activations_a_scale();
+            match rounded.filter(|_| self.in_two_terms) {
+                Some(scaled) => {
+                    let lost = quantized::lost_by_rounding(x, self.inputs, scaled);
+                    let first = Then {
+                        activation: None,
+                        ..then
+                    };
+                    let second = Then {
+                        onto: Onto::Written,
+                        bias: None,
+                        activation: then.activation,
+                    };
+                    results.append(segment.outputs(), [first, second], |pass, columns| {
+                        let x = if pass == 0 { x } else { &lost };
+                        product::multiply(segment, x, columns, instructions);
+                    });
+                }
+                None => results.append(segment.outputs(), [then], |_, columns| {
+                    product::multiply(segment, x, columns, instructions);
+                }),
+            }
+        }
+        results.finish()
     }
 }
 

@@ -2,22 +2,25 @@
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
 use super::float::{Float, Half, Single};
-use super::format::{Format, MAX_BATCH, TILES, TileSums};
+use super::format::{COLUMNS, Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
 use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
+use super::results::Columns;
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 use crate::Awake;
+use crate::values::in_parts;
 use rayon::prelude::*;
 use std::marker::PhantomData;
-
-/// Outputs that a kernel computes at once.
-const COLUMNS: usize = TILES * LANES;
 
 /// Maximum bytes of packed activations that one pass over the weights multiplies; they stay in a
 /// core's second-level cache.
 const MAX_PACKED_BYTES: usize = 1 << 20;
+
+/// Maximum bytes of unpacked weights that many rows are multiplied with, one batch after the other:
+/// half of a first-level cache.
+const MAX_UNPACKED_BYTES: usize = 24 << 10;
 
 /// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
@@ -34,78 +37,7 @@ const PREFETCH_BYTES: usize = 8 << 10;
 /// Pieces of work for each thread; a slower core takes fewer of them.
 const PIECES_PER_THREAD: usize = 4;
 
-/// The columns of a row-major result of `stride` columns that a product is added to.
-#[derive(Debug)]
-pub(super) struct Columns<'a> {
-    start: *mut f32,
-    stride: usize,
-    width: usize,
-    rows: usize,
-    bias: Option<&'a [f32]>,
-    result: PhantomData<&'a mut [f32]>,
-}
-
-// SAFETY: `multiply` gives every thread different columns.
-unsafe impl Sync for Columns<'_> {}
-
-impl<'a> Columns<'a> {
-    /// `width` columns from `first` on of a result whose rows have `stride` columns; `None` if they
-    /// do not exist. `bias` has one number a column and is added to every row.
-    pub(super) fn new(
-        result: &'a mut [f32],
-        stride: usize,
-        first: usize,
-        width: usize,
-        bias: Option<&'a [f32]>,
-    ) -> Option<Self> {
-        let rows = result.len().checked_div(stride)?;
-        if first.checked_add(width)? > stride
-            || rows == 0
-            || bias.is_some_and(|bias| bias.len() != width)
-        {
-            return None;
-        }
-        // SAFETY: `first` is within the first row.
-        let start = unsafe { result.as_mut_ptr().add(first) };
-        Some(Self {
-            start,
-            stride,
-            width,
-            rows,
-            bias,
-            result: PhantomData,
-        })
-    }
-
-    /// Adds the sums of a row from a column on, up to the last column.
-    ///
-    /// # Safety
-    /// No other thread may read or write these columns at the same time.
-    #[inline(always)]
-    unsafe fn add(&self, row: usize, column: usize, sums: &[f32]) {
-        assert!(
-            row < self.rows && column < self.width,
-            "a sum outside the result"
-        );
-        let count = sums.len().min(self.width - column);
-        // SAFETY: the assertion shows that the row and `count` columns from `column` on are within
-        // the result; the caller has exclusive access.
-        let result = unsafe {
-            std::slice::from_raw_parts_mut(self.start.add(row * self.stride + column), count)
-        };
-        if let Some(bias) = self.bias {
-            for ((result, sum), bias) in result.iter_mut().zip(sums).zip(&bias[column..]) {
-                *result += sum + bias;
-            }
-        } else {
-            for (result, sum) in result.iter_mut().zip(sums) {
-                *result += sum;
-            }
-        }
-    }
-}
-
-/// Adds the products of row-major activations with tiles to columns.
+/// Writes the products of row-major activations with tiles to columns.
 pub(super) fn multiply(
     tiles: &PackedTiles,
     x: &[f32],
@@ -150,32 +82,23 @@ fn multiply_as<F: Format>(
             MIN_PARALLEL_PRODUCTS
         };
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= enough;
-        let mut words = vec![0; count * row_words];
-        let batches = words
-            .chunks_mut(MAX_BATCH * row_words)
-            .zip(rows.chunks(MAX_BATCH * inputs));
-        if parallel && count > MAX_BATCH {
-            let batches = words
-                .par_chunks_mut(MAX_BATCH * row_words)
-                .zip(rows.par_chunks(MAX_BATCH * inputs));
-            batches.for_each(|(words, rows)| {
-                instructions.run(Pack::<F> {
-                    inputs,
-                    rows,
-                    words,
-                    format: PhantomData,
-                });
+        let pack = |batch: usize, words: &mut [i32]| {
+            let first = batch * MAX_BATCH * inputs;
+            instructions.run(Pack::<F> {
+                inputs,
+                rows: &rows[first..rows.len().min(first + MAX_BATCH * inputs)],
+                words,
+                format: PhantomData,
             });
+        };
+        let words = if parallel && count > MAX_BATCH {
+            in_parts(count * row_words, MAX_BATCH * row_words, pack)
         } else {
-            batches.for_each(|(words, rows)| {
-                instructions.run(Pack::<F> {
-                    inputs,
-                    rows,
-                    words,
-                    format: PhantomData,
-                });
-            });
-        }
+            let mut words = vec![0; count * row_words];
+            let batches = words.chunks_mut(MAX_BATCH * row_words).enumerate();
+            batches.for_each(|(batch, words)| pack(batch, words));
+            words
+        };
         let product = |first: usize, lines: &[CacheLine]| {
             instructions.run(Product::<F> {
                 inputs,
@@ -214,23 +137,47 @@ impl<F: Format> Kernel for Pack<'_, F> {
     fn run<S: Simd>(self, simd: S) {
         let count = self.rows.len() / self.inputs;
         let mut padded = vec![0.0; F::SPAN];
-        let mut packed = vec![0; F::WORDS];
-        for (row, values) in self.rows.chunks_exact(self.inputs).enumerate() {
-            for (values, words) in values
-                .chunks(F::SPAN)
-                .zip(self.words.chunks_mut(count * F::WORDS))
+        let mut packed = vec![0; count * F::WORDS];
+        let spans = self.words.chunks_mut(count * F::WORDS).enumerate();
+        for (span, words) in spans {
+            for (values, packed) in self
+                .rows
+                .chunks_exact(self.inputs)
+                .zip(packed.chunks_exact_mut(F::WORDS))
             {
-                if values.len() == F::SPAN {
-                    F::pack(simd, values, &mut packed);
+                let values = &values[span * F::SPAN..];
+                if let Some(values) = values.get(..F::SPAN) {
+                    F::pack(simd, values, packed);
                 } else {
                     padded[..values.len()].copy_from_slice(values);
                     padded[values.len()..].fill(0.0);
-                    F::pack(simd, &padded, &mut packed);
-                }
-                for (word, packed) in words[row..].iter_mut().step_by(count).zip(&packed) {
-                    *word = *packed;
+                    F::pack(simd, &padded, packed);
                 }
             }
+            if count == MAX_BATCH {
+                alternate::<MAX_BATCH>(&packed, F::WORDS, words);
+            } else {
+                for (row, packed) in packed.chunks_exact(F::WORDS).enumerate() {
+                    for (word, packed) in words[row..].iter_mut().step_by(count).zip(packed) {
+                        *word = *packed;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Writes `ROWS` rows of `width` words word by word in turn; the last words of a row may be left
+/// out. Their number is known, so that the compiler moves several at once.
+#[inline(always)]
+fn alternate<const ROWS: usize>(rows: &[i32], width: usize, words: &mut [i32]) {
+    let mut sources = [&rows[..0]; ROWS];
+    for (source, row) in sources.iter_mut().zip(rows.chunks_exact(width)) {
+        *source = row;
+    }
+    for (index, words) in words.as_chunks_mut::<ROWS>().0.iter_mut().enumerate() {
+        for (word, source) in words.iter_mut().zip(sources) {
+            *word = source[index];
         }
     }
 }
@@ -251,6 +198,24 @@ struct Product<'a, F> {
 }
 
 impl<F: Format> Product<'_, F> {
+    /// Unpacks a span of a pair of tiles.
+    #[inline(always)]
+    fn unpack<S: Simd>(
+        &self,
+        simd: S,
+        pair: &[CacheLine],
+        span: usize,
+        blocks: &mut [F::Block; TILES],
+    ) {
+        for (tile, block) in pair.chunks_exact(self.tile_lines).zip(blocks) {
+            let end = self.tile_lines.min((span + 1) * F::LINES);
+            for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {
+                simd.prefetch(std::ptr::from_ref(line));
+            }
+            F::unpack(simd, &tile[span * F::LINES..end], block);
+        }
+    }
+
     /// Multiplies one row with the whole spans of a pair of tiles. Returns how many spans these
     /// are.
     #[inline(always)]
@@ -293,35 +258,45 @@ impl<F: Format> Kernel for Product<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let rows = self.words.len() / self.row_words;
-        let mut blocks: [F::Block; TILES] = std::array::from_fn(|_| F::zeros());
-        let mut sums = vec![[[0.0; LANES]; TILES]; rows];
         let spans = self.inputs.div_ceil(F::SPAN);
+        // A single batch gains nothing from spans that are unpacked together.
+        let step = if rows > MAX_BATCH {
+            (MAX_UNPACKED_BYTES / size_of::<[F::Block; TILES]>()).clamp(1, spans)
+        } else {
+            1
+        };
+        let mut blocks: Vec<[F::Block; TILES]> = vec![std::array::from_fn(|_| F::zeros()); step];
+        let mut sums = vec![[[0.0; LANES]; TILES]; rows];
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
             let done = match sums.as_mut_slice() {
-                [sums] => self.multiply_row(simd, pair, &mut blocks, sums),
+                [sums] => self.multiply_row(simd, pair, &mut blocks[0], sums),
                 _ => 0,
             };
-            for span in done..spans {
-                let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
-                for (tile, block) in pair.chunks_exact(self.tile_lines).zip(&mut blocks) {
-                    let end = self.tile_lines.min((span + 1) * F::LINES);
-                    for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {
-                        simd.prefetch(std::ptr::from_ref(line));
-                    }
-                    F::unpack(simd, &tile[span * F::LINES..end], block);
+            let column = self.first + index * COLUMNS;
+            // Once also where nothing is left to multiply.
+            for first in (done..spans.max(done + 1)).step_by(step) {
+                let group = first..spans.min(first + step);
+                for (span, blocks) in group.clone().zip(&mut blocks) {
+                    self.unpack(simd, pair, span, blocks);
                 }
                 let batches = self.words.chunks(MAX_BATCH * self.row_words);
-                for (words, sums) in batches.zip(sums.chunks_mut(MAX_BATCH)) {
-                    let start = span * sums.len() * F::WORDS;
-                    let words = &words[start..words.len().min(start + sums.len() * F::WORDS)];
-                    multiply_batch::<F, S>(simd, &blocks, words, inputs, sums);
+                let batches = batches.zip(sums.chunks_mut(MAX_BATCH));
+                for (batch, (words, sums)) in batches.enumerate() {
+                    // Sums and activations of a batch stay in the first-level cache meanwhile.
+                    for (span, blocks) in group.clone().zip(&blocks) {
+                        let start = span * sums.len() * F::WORDS;
+                        let end = words.len().min(start + sums.len() * F::WORDS);
+                        let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
+                        multiply_batch::<F, S>(simd, blocks, &words[start..end], inputs, sums);
+                    }
+                    if group.end == spans {
+                        let row = self.row + batch * MAX_BATCH;
+                        // Here, so that the memory takes them while the next batch is multiplied.
+                        // SAFETY: only this thread writes the outputs of these tiles.
+                        unsafe { self.out.write(simd, row, column, sums) };
+                    }
                 }
-            }
-            let column = self.first + index * COLUMNS;
-            for (row, sums) in sums.iter().enumerate() {
-                // SAFETY: only this thread writes the outputs of these tiles.
-                unsafe { self.out.add(self.row + row, column, sums.as_flattened()) };
             }
         }
     }

@@ -59,10 +59,11 @@ fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
 }
 
 fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec<f32> {
-    let mut result = vec![0.0; x.len() / tiles.inputs() * tiles.outputs()];
-    let columns = Columns::new(&mut result, tiles.outputs(), 0, tiles.outputs(), None).unwrap();
-    product::multiply(tiles, x, &columns, instructions);
-    result
+    let mut results = Results::with_room(x.len() / tiles.inputs(), tiles.outputs());
+    results.append(tiles.outputs(), [Then::default()], |_, columns| {
+        product::multiply(tiles, x, columns, instructions);
+    });
+    results.finish().unwrap()
 }
 
 /// A row of activations as the quantized kernels round it; `scaled` activations share a scale.

@@ -104,7 +104,7 @@ impl Layer {
         let x = (x + self
             .attention_norm
             .forward(&self.attention.forward(x, parts)?)?)?;
-        let wide = self.act.forward(&self.fc1.forward(&x)?)?;
+        let wide = self.fc1.forward_then(&x, self.act)?;
         &x + self.mlp_norm.forward(&self.fc2.forward(&wide)?)?
     }
 }

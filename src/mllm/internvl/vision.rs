@@ -89,10 +89,9 @@ impl ImageEncoder {
 
     /// Maps merged patches to input rows of the decoder.
     pub(super) fn project(&self, merged: &Tensor) -> candle_core::Result<Tensor> {
-        let wide = self
-            .linear1
-            .forward(&self.projector_norm.forward(merged)?)?;
-        self.linear2.forward(&Activation::Gelu.forward(&wide)?)
+        let normed = self.projector_norm.forward(merged)?;
+        self.linear2
+            .forward(&self.linear1.forward_then(&normed, Activation::Gelu)?)
     }
 }
 

@@ -134,7 +134,7 @@ impl TileEncoder for ViewEncoder {
             None => blocks,
         };
         self.second
-            .forward(&self.act.forward(&self.first.forward(&blocks)?)?)
+            .forward(&self.first.forward_then(&blocks, self.act)?)
     }
 }
 

@@ -38,6 +38,6 @@ impl Projector {
     /// Maps (rows, tower width) to (rows, decoder width).
     pub(crate) fn forward(&self, features: &Tensor) -> Result<Tensor> {
         self.linear2
-            .forward(&self.act.forward(&self.linear1.forward(features)?)?)
+            .forward(&self.linear1.forward_then(features, self.act)?)
     }
 }

@@ -31,6 +31,6 @@ impl PatchMerger {
     /// Maps (tokens, merged) to (tokens, hidden).
     pub(crate) fn forward(&self, merged: &Tensor) -> Result<Tensor> {
         self.linear2
-            .forward(&Activation::Gelu.forward(&self.linear1.forward(merged)?)?)
+            .forward(&self.linear1.forward_then(merged, Activation::Gelu)?)
     }
 }

@@ -127,9 +127,7 @@ impl VisionLayer {
                     .broadcast_mul(scale)?)?
             }
         };
-        let wide = self
-            .act
-            .forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
+        let wide = self.fc1.forward_then(&self.norm2.forward(&x)?, self.act)?;
         match &self.scales {
             None => self.fc2.forward_onto(&wide, &x),
             Some([_, scale]) => &x + self.fc2.forward(&wide)?.broadcast_mul(scale)?,

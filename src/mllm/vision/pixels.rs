@@ -88,21 +88,25 @@ impl PixelScale {
     /// Pixel values of shape (3, height, width).
     pub(crate) fn values(&self, pixels: &RgbImage) -> candle_core::Result<Tensor> {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        let plane = width * height;
-        let mut values = vec![0f32; 3 * plane];
-        for (index, pixel) in pixels.pixels().enumerate() {
-            for (channel, value) in pixel.0.into_iter().enumerate() {
-                let mut value = match self.rescale {
-                    Some(factor) => (f64::from(value) * factor) as f32,
-                    None => f32::from(value),
-                };
-                if let Some((mean, std)) = self.normalize {
-                    value = (value - mean[channel]) / std[channel];
-                }
-                values[channel * plane + index] = value;
-            }
+        let mut values = Vec::with_capacity(3 * width * height);
+        for channel in 0..3 {
+            let table = self.table(channel);
+            let bytes = pixels.pixels().map(|pixel| pixel.0[channel]);
+            values.extend(bytes.map(|byte| table[usize::from(byte)]));
         }
         Tensor::from_vec(values, (3, height, width), &Device::Cpu)
+    }
+
+    /// The values of the 256 bytes of a channel.
+    fn table(&self, channel: usize) -> [f32; 256] {
+        std::array::from_fn(|byte| {
+            let value = match self.rescale {
+                Some(factor) => (byte as f64 * factor) as f32,
+                None => byte as f32,
+            };
+            self.normalize
+                .map_or(value, |(mean, std)| (value - mean[channel]) / std[channel])
+        })
     }
 }
 

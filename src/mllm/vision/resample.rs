@@ -4,8 +4,13 @@
 //! Pillow 13 and later take the columns of tall images first; this is the order of earlier
 //! versions. For a smaller target, the filter is stretched by the same factor against aliasing.
 //! Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 use image::RgbImage;
+use planagent_kernels::matrix::{Instructions, Kernel, LANES, Simd};
 use rayon::prelude::*;
 use serde::Deserialize;
 
@@ -124,29 +129,76 @@ pub(crate) fn resize(image: &RgbImage, width: u32, height: u32, filter: Filter) 
 /// What a sum starts from, so that the shift rounds it.
 const HALF: i32 = 1 << (PRECISION_BITS - 1);
 
+#[inline(always)]
 fn rounded(sum: i32) -> u8 {
     (sum >> PRECISION_BITS).clamp(0, 255) as u8
 }
 
 fn along_rows(source: &RgbImage, taps: &[Taps]) -> RgbImage {
+    let taps: Vec<PaddedTaps> = taps.iter().map(PaddedTaps::new).collect();
     let mut target = RgbImage::new(taps.len() as u32, source.height());
     let from = source.par_chunks_exact(CHANNELS * (source.width() as usize).max(1));
     target
         .par_chunks_exact_mut(CHANNELS * taps.len().max(1))
         .zip(from)
         .for_each(|(row, source)| {
-            let pixels = source.as_chunks::<CHANNELS>().0;
-            for (target, taps) in row.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(taps) {
-                let mut sums = [HALF; CHANNELS];
-                for (weight, pixel) in taps.weights.iter().zip(pixels.iter().skip(taps.first)) {
-                    for (sum, value) in sums.iter_mut().zip(pixel) {
-                        *sum += i32::from(*value) * weight;
-                    }
-                }
-                *target = sums.map(rounded);
-            }
+            let taps = taps.as_slice();
+            Instructions::best().run(RowKernel { source, taps, row });
         });
     target
+}
+
+/// [`Taps`] with zeros up to whole vectors.
+struct PaddedTaps {
+    first: usize,
+    weights: Vec<[i32; LANES]>,
+}
+
+impl PaddedTaps {
+    fn new(taps: &Taps) -> Self {
+        let mut weights = vec![[0; LANES]; taps.weights.len().div_ceil(LANES)];
+        weights.as_flattened_mut()[..taps.weights.len()].copy_from_slice(&taps.weights);
+        Self {
+            first: taps.first,
+            weights,
+        }
+    }
+}
+
+/// Resizes one row.
+struct RowKernel<'a> {
+    source: &'a [u8],
+    taps: &'a [PaddedTaps],
+    row: &'a mut [u8],
+}
+
+impl Kernel for RowKernel<'_> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let pixels = self.source.as_chunks::<CHANNELS>().0;
+        let widest = self.taps.iter().map(|taps| taps.weights.len()).max();
+        // The channels apart, so that a vector has neighbors of one, and zeros behind the last.
+        let padded = pixels.len() + widest.unwrap_or(0) * LANES;
+        let mut planes = [(); CHANNELS].map(|()| vec![0i32; padded]);
+        for (channel, plane) in planes.iter_mut().enumerate() {
+            for (value, pixel) in plane.iter_mut().zip(pixels) {
+                *value = i32::from(pixel[channel]);
+            }
+        }
+        let targets = self.row.as_chunks_mut::<CHANNELS>().0;
+        for (target, taps) in targets.iter_mut().zip(self.taps) {
+            for (target, plane) in target.iter_mut().zip(&planes) {
+                let values = plane[taps.first..].as_chunks::<LANES>().0;
+                let mut sums = [0; LANES];
+                for (weights, values) in taps.weights.iter().zip(values) {
+                    for ((sum, weight), value) in sums.iter_mut().zip(weights).zip(values) {
+                        *sum += weight * value;
+                    }
+                }
+                *target = rounded(HALF + sums.iter().sum::<i32>());
+            }
+        }
+    }
 }
 
 fn along_columns(source: &RgbImage, taps: &[Taps]) -> RgbImage {
@@ -156,21 +208,32 @@ fn along_columns(source: &RgbImage, taps: &[Taps]) -> RgbImage {
         .par_chunks_exact_mut(width)
         .zip(taps)
         .for_each(|(row, taps)| {
-            let mut sums = vec![HALF; width];
-            for (weight, source) in taps
-                .weights
-                .iter()
-                .zip(source.chunks_exact(width).skip(taps.first))
-            {
-                for (sum, value) in sums.iter_mut().zip(source) {
-                    *sum += i32::from(*value) * weight;
-                }
-            }
-            row.iter_mut()
-                .zip(sums)
-                .for_each(|(value, sum)| *value = rounded(sum));
+            Instructions::best().run(ColumnKernel { source, taps, row });
         });
     target
+}
+
+/// Computes one row from those of its taps.
+struct ColumnKernel<'a> {
+    source: &'a RgbImage,
+    taps: &'a Taps,
+    row: &'a mut [u8],
+}
+
+impl Kernel for ColumnKernel<'_> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let mut sums = vec![HALF; self.row.len()];
+        let rows = self.source.chunks_exact(self.row.len().max(1));
+        for (weight, row) in self.taps.weights.iter().zip(rows.skip(self.taps.first)) {
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += i32::from(*value) * weight;
+            }
+        }
+        for (value, sum) in self.row.iter_mut().zip(sums) {
+            *value = rounded(sum);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -184,6 +247,43 @@ mod tests {
             let resized = resize(&image, 13, 3, filter);
             assert_eq!(resized.dimensions(), (13, 3));
             assert!(resized.pixels().all(|pixel| pixel.0 == [10, 200, 255]));
+        }
+    }
+
+    /// Both passes, pixel by pixel.
+    fn plain(image: &RgbImage, width: u32, height: u32, filter: Filter) -> RgbImage {
+        let sum = |taps: &Taps, pixel: &dyn Fn(u32) -> [u8; CHANNELS]| {
+            let mut sums = [HALF; CHANNELS];
+            for (at, weight) in (taps.first as u32..).zip(&taps.weights) {
+                for (sum, value) in sums.iter_mut().zip(pixel(at)) {
+                    *sum += i32::from(value) * weight;
+                }
+            }
+            image::Rgb(sums.map(rounded))
+        };
+        let rows = taps(image.width() as usize, width as usize, filter);
+        let wide = RgbImage::from_fn(width, image.height(), |x, y| {
+            sum(&rows[x as usize], &|at| image.get_pixel(at, y).0)
+        });
+        let columns = taps(image.height() as usize, height as usize, filter);
+        RgbImage::from_fn(width, height, |x, y| {
+            sum(&columns[y as usize], &|at| wide.get_pixel(x, at).0)
+        })
+    }
+
+    #[test]
+    fn vectors_give_the_pixels_of_plain_sums() {
+        // Black and white, so that sums leave the range of a byte.
+        let noise = |x: u32, y: u32| (x * 7919 + y * 104_729 + x * y * 31) % 5;
+        let picture = RgbImage::from_fn(61, 37, |x, y| {
+            image::Rgb([0, 1, 2].map(|channel| 255 * u8::from(noise(x + channel, y) > 1)))
+        });
+        for filter in [Filter::Lanczos, Filter::Bilinear, Filter::Bicubic] {
+            for (width, height) in [(61, 90), (200, 37), (130, 111), (9, 5), (1, 1), (60, 36)] {
+                let found = resize(&picture, width, height, filter);
+                let expected = plain(&picture, width, height, filter);
+                assert!(found == expected, "{filter:?} to {width} x {height}");
+            }
         }
     }
 

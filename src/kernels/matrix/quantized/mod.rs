@@ -51,6 +51,12 @@ enum Minima {
     Floats,
 }
 
+/// What numbers that are 128 too large add to a run of 32, negated
+/// ([`Simd::biased_start`]).
+fn surplus(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
+    -128 * run_sum(sums, run)
+}
+
 /// The sum of the activations of a run of 32.
 fn run_sum(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
     sums[2 * run] + sums[2 * run + 1]
@@ -370,8 +376,13 @@ fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
         .iter_mut()
         .zip(values.as_chunks::<LANES>().0)
     {
-        for (number, value) in numbers.iter_mut().zip(values) {
-            *number = (value * inverse + ROUNDING).to_bits() as i8;
+        // Two loops, which the compiler makes vectors of; of one it did not.
+        let mut rounded = [0; LANES];
+        for (rounded, value) in rounded.iter_mut().zip(values) {
+            *rounded = (value * inverse + ROUNDING).to_bits();
+        }
+        for (number, rounded) in numbers.iter_mut().zip(rounded) {
+            *number = rounded as i8;
         }
     }
     scale

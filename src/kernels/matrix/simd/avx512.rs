@@ -110,8 +110,8 @@ impl Simd for Avx512 {
 
     // The weights are 128 too large here; `biased_start` subtracts the surplus first.
     #[inline(always)]
-    fn biased_start(self, sum: i32) -> __m512i {
-        self.ints(-128 * sum)
+    fn biased_start(self, surplus: i32) -> __m512i {
+        self.ints(surplus)
     }
 
     #[inline(always)]
