@@ -265,7 +265,15 @@ impl<F: Format> Kernel for Product<'_, F> {
         } else {
             1
         };
-        let mut blocks: Vec<[F::Block; TILES]> = vec![std::array::from_fn(|_| F::zeros()); step];
+        // On the stack where one is enough: a row of a decoder takes some microseconds.
+        let mut one = [std::array::from_fn(|_| F::zeros())];
+        let mut several = Vec::new();
+        let blocks: &mut [[F::Block; TILES]] = if step > 1 {
+            several.resize(step, one[0].clone());
+            &mut several
+        } else {
+            &mut one
+        };
         let mut sums = vec![[[0.0; LANES]; TILES]; rows];
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
@@ -277,14 +285,14 @@ impl<F: Format> Kernel for Product<'_, F> {
             // Once also where nothing is left to multiply.
             for first in (done..spans.max(done + 1)).step_by(step) {
                 let group = first..spans.min(first + step);
-                for (span, blocks) in group.clone().zip(&mut blocks) {
+                for (span, blocks) in group.clone().zip(&mut *blocks) {
                     self.unpack(simd, pair, span, blocks);
                 }
                 let batches = self.words.chunks(MAX_BATCH * self.row_words);
                 let batches = batches.zip(sums.chunks_mut(MAX_BATCH));
                 for (batch, (words, sums)) in batches.enumerate() {
                     // Sums and activations of a batch stay in the first-level cache meanwhile.
-                    for (span, blocks) in group.clone().zip(&blocks) {
+                    for (span, blocks) in group.clone().zip(&*blocks) {
                         let start = span * sums.len() * F::WORDS;
                         let end = words.len().min(start + sums.len() * F::WORDS);
                         let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
