@@ -54,8 +54,8 @@ impl Linear {
         self.sum(x, Some(residual), None)
     }
 
-    /// A function of the numbers of [`Self::forward`]: the same as one after the other, in a pass
-    /// less.
+    /// Applies a function to the numbers of [`Self::forward`]. The result is the same as in two
+    /// passes.
     pub fn forward_then(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
         self.sum(x, None, Some(activation))
     }
@@ -97,7 +97,7 @@ mod tests {
     use candle_core::Device;
 
     /// Activations in the pass of the product are those of a pass of their own, bit for bit: with
-    /// columns that fill no vector, few rows and many, and what rounding takes.
+    /// columns that fill no vector, few rows and many, and with a second term for what rounding takes.
     #[test]
     fn an_activation_in_the_pass_of_the_product_is_the_same() {
         let numbers = |shape: &[usize], step: usize| {

@@ -71,9 +71,9 @@ pub(crate) fn row_by_row(
     })
 }
 
-/// `count` numbers that the threads fill in parts of `part`. `fill` takes the index of a part, and
-/// the part as zeros, which its own thread has just written: to write all zeros first would take
-/// a thread as long as a norm or an activation takes it.
+/// `count` numbers that the threads fill in parts of `part`. `fill` takes the index of a part and
+/// the part, which its thread has set to zeros. One thread that zeroed everything first would take
+/// as long as a whole norm or activation.
 #[allow(unsafe_code, reason = "all parts are written before they are read")]
 pub(crate) fn in_parts<T: Copy + Default + Send>(
     count: usize,

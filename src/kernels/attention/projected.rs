@@ -113,8 +113,8 @@ impl<'a> Projected<'a> {
     /// Whether all magnitudes are below a limit; NaN is not.
     pub(super) fn are_below(&self, limit: f32) -> bool {
         let parts = self.values.par_chunks(TASK_NUMBERS);
-        // Without an early end, which the compiler makes no vectors of.
-        let below = |sum: bool, value: &f32| sum & (value.abs() < limit);
+        // No early exit within a part: the compiler does not vectorize loops with one.
+        let below = |so_far: bool, value: &f32| so_far & (value.abs() < limit);
         parts.all(|part| part.iter().fold(true, below))
     }
 

@@ -440,7 +440,7 @@ fn weigh<S: Simd, const R: usize>(
     let mut weights = [[[0; LANES]; KEY_VECTORS / 2]; R];
     let mut growth = [0f32; LANES];
     let mut sums = [simd.ints(0); R];
-    // A loop for each step, since a row's steps wait for one another and rows do not.
+    // Separate loops, so that the steps of different rows overlap.
     for r in 0..R {
         if positions < BLOCK_POSITIONS {
             scores[r].as_flattened_mut()[positions..].fill(f32::NEG_INFINITY);
@@ -455,8 +455,8 @@ fn weigh<S: Simd, const R: usize>(
     }
     for r in 0..R {
         // Of the rounded weights, since these multiply the values.
+        let top = max_score[r];
         for (pairs, [low, high]) in weights[r].iter_mut().zip(scores[r].as_chunks::<2>().0) {
-            let top = max_score[r];
             let both = simd.pair(weight(simd, low, top), weight(simd, high, top));
             simd.store_ints(both, pairs);
             sums[r] = simd.dot_pairs(sums[r], both, ONES);

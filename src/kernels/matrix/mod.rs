@@ -32,7 +32,7 @@ pub use blocks::widen;
 pub use line::{CacheLine, LANES};
 use packed_tiles::PackedTiles;
 pub(crate) use probe::byte_operations;
-use results::{Onto, Results, Then};
+use results::{Onto, Pass, Results, Then};
 pub use simd::{Instructions, Kernel, Simd};
 pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
@@ -323,31 +323,33 @@ impl Matrix {
 
     /// The numbers of [`Self::forward_then`]; `None` if segments are missing.
     fn product(&self, x: &[f32], tokens: usize, then: Then<'_>) -> Option<Vec<f32>> {
-        let instructions = Instructions::best();
         let mut results = Results::with_room(tokens, self.outputs);
         for segment in &self.segments {
             let rounded = segment.weight_format().activations_a_scale();
-            match rounded.filter(|_| self.in_two_terms) {
-                Some(scaled) => {
-                    let lost = quantized::lost_by_rounding(x, self.inputs, scaled);
-                    let first = Then {
-                        activation: None,
-                        ..then
-                    };
-                    let second = Then {
-                        onto: Onto::Written,
-                        bias: None,
-                        activation: then.activation,
-                    };
-                    results.append(segment.outputs(), [first, second], |pass, columns| {
-                        let x = if pass == 0 { x } else { &lost };
-                        product::multiply(segment, x, columns, instructions);
-                    });
-                }
-                None => results.append(segment.outputs(), [then], |_, columns| {
-                    product::multiply(segment, x, columns, instructions);
-                }),
-            }
+            let lost = rounded
+                .filter(|_| self.in_two_terms)
+                .map(|scaled| quantized::lost_by_rounding(x, self.inputs, scaled));
+            let passes = match &lost {
+                None => &[Pass { x, then }][..],
+                Some(lost) => &[
+                    Pass {
+                        x,
+                        then: Then {
+                            activation: None,
+                            ..then
+                        },
+                    },
+                    Pass {
+                        x: lost,
+                        then: Then {
+                            onto: Onto::Written,
+                            bias: None,
+                            ..then
+                        },
+                    },
+                ],
+            };
+            results.append(segment, passes, Instructions::best());
         }
         results.finish()
     }

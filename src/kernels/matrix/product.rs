@@ -19,7 +19,7 @@ use std::marker::PhantomData;
 const MAX_PACKED_BYTES: usize = 1 << 20;
 
 /// Maximum bytes of unpacked weights that many rows are multiplied with, one batch after the other:
-/// half of a first-level cache.
+/// half of a first-level cache of 48 KiB, which two quantized spans fill, or one of floats.
 const MAX_UNPACKED_BYTES: usize = 24 << 10;
 
 /// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
@@ -168,7 +168,7 @@ impl<F: Format> Kernel for Pack<'_, F> {
 }
 
 /// Writes `ROWS` rows of `width` words word by word in turn; the last words of a row may be left
-/// out. Their number is known, so that the compiler moves several at once.
+/// out. `ROWS` is a constant, so the compiler moves several words at once.
 #[inline(always)]
 fn alternate<const ROWS: usize>(rows: &[i32], width: usize, words: &mut [i32]) {
     let mut sources = [&rows[..0]; ROWS];
@@ -230,7 +230,8 @@ impl<F: Format> Product<'_, F> {
         if tiles.1.len() < self.tile_lines {
             return 0;
         }
-        let whole = self.tile_lines / F::LINES;
+        // A line of f16 that is half full belongs to no whole span.
+        let whole = (self.tile_lines / F::LINES).min(self.words.len() / F::WORDS);
         let distance = PREFETCH_BYTES.div_ceil(TILES * F::LINES * size_of::<CacheLine>());
         let spans = tiles
             .0
@@ -267,9 +268,9 @@ impl<F: Format> Kernel for Product<'_, F> {
         };
         // On the stack where one is enough: a row of a decoder takes some microseconds.
         let mut one = [std::array::from_fn(|_| F::zeros())];
-        let mut several = Vec::new();
+        let mut several;
         let blocks: &mut [[F::Block; TILES]] = if step > 1 {
-            several.resize(step, one[0].clone());
+            several = vec![one[0].clone(); step];
             &mut several
         } else {
             &mut one
@@ -282,7 +283,7 @@ impl<F: Format> Kernel for Product<'_, F> {
                 _ => 0,
             };
             let column = self.first + index * COLUMNS;
-            // Once also where nothing is left to multiply.
+            // At least once, so that the sums are written even if no span is left.
             for first in (done..spans.max(done + 1)).step_by(step) {
                 let group = first..spans.min(first + step);
                 for (span, blocks) in group.clone().zip(&mut *blocks) {
@@ -291,7 +292,7 @@ impl<F: Format> Kernel for Product<'_, F> {
                 let batches = self.words.chunks(MAX_BATCH * self.row_words);
                 let batches = batches.zip(sums.chunks_mut(MAX_BATCH));
                 for (batch, (words, sums)) in batches.enumerate() {
-                    // Sums and activations of a batch stay in the first-level cache meanwhile.
+                    // Sums and activations of a batch stay in the first-level cache.
                     for (span, blocks) in group.clone().zip(&*blocks) {
                         let start = span * sums.len() * F::WORDS;
                         let end = words.len().min(start + sums.len() * F::WORDS);
@@ -300,7 +301,7 @@ impl<F: Format> Kernel for Product<'_, F> {
                     }
                     if group.end == spans {
                         let row = self.row + batch * MAX_BATCH;
-                        // Here, so that the memory takes them while the next batch is multiplied.
+                        // Written here, so that the stores overlap with the next batch.
                         // SAFETY: only this thread writes the outputs of these tiles.
                         unsafe { self.out.write(simd, row, column, sums) };
                     }

@@ -5,9 +5,10 @@
 )]
 
 use super::format::{COLUMNS, TileSums};
-use super::simd::Simd;
+use super::packed_tiles::PackedTiles;
+use super::product;
+use super::simd::{Instructions, Simd};
 use crate::activation::Activation;
-use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 
 /// The row-major numbers of a product, (rows, outputs). The columns of its segments are written one
@@ -22,13 +23,21 @@ pub(super) struct Results {
     written: usize,
 }
 
+/// Activations that are multiplied with the weights of some columns.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pass<'a> {
+    /// (rows, inputs)
+    pub(super) x: &'a [f32],
+    pub(super) then: Then<'a>,
+}
+
 /// What becomes of the sums of a row of activations.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Then<'a> {
     pub(super) onto: Onto<'a>,
     /// A number for each output of the whole product.
     pub(super) bias: Option<&'a [f32]>,
-    /// Of the sum of all these.
+    /// Applied to the sum of all these.
     pub(super) activation: Option<Activation>,
 }
 
@@ -53,45 +62,45 @@ impl Results {
         }
     }
 
-    /// The next `width` columns, which `write` fills once for each of `passes`: every number of
-    /// them. Nothing happens where there are fewer columns, or where `passes` do not fit.
-    pub(super) fn append<'p, const PASSES: usize>(
+    /// Appends the columns of tiles: their products with each of `passes`. Does nothing if columns or
+    /// passes do not fit.
+    pub(super) fn append(
         &mut self,
-        width: usize,
-        passes: [Then<'p>; PASSES],
-        mut write: impl FnMut(usize, &Columns<'p>),
+        tiles: &PackedTiles,
+        passes: &[Pass<'_>],
+        instructions: Instructions,
     ) {
-        let count = self.rows * self.outputs;
-        let fits = |then: &Then<'_>| {
-            let residual = match then.onto {
-                Onto::Residual(residual) => residual.len() == count,
-                Onto::Nothing => true,
-                Onto::Written => false,
+        let room = self.written + tiles.outputs() <= self.outputs;
+        if passes.is_empty() || !room || !self.fit(tiles, passes) {
+            return;
+        }
+        for Pass { x, then } in passes {
+            let columns = Columns {
+                start: self.numbers.spare_capacity_mut().as_mut_ptr(),
+                stride: self.outputs,
+                first: self.written,
+                width: tiles.outputs(),
+                rows: self.rows,
+                then: *then,
             };
-            residual && then.bias.is_none_or(|bias| bias.len() == self.outputs)
-        };
-        let later = |then: &Then<'_>| matches!(then.onto, Onto::Written) && then.bias.is_none();
-        let [first, others @ ..] = passes.as_slice() else {
-            return;
-        };
-        if self.written + width > self.outputs || !fits(first) || !others.iter().all(later) {
-            return;
+            product::multiply(tiles, x, &columns, instructions);
         }
-        for (pass, then) in passes.into_iter().enumerate() {
-            write(
-                pass,
-                &Columns {
-                    start: self.numbers.spare_capacity_mut().as_mut_ptr(),
-                    stride: self.outputs,
-                    first: self.written,
-                    width,
-                    rows: self.rows,
-                    then,
-                    result: PhantomData,
-                },
-            );
-        }
-        self.written += width;
+        self.written += tiles.outputs();
+    }
+
+    /// Whether each pass has a number for each place, and the first alone needs no earlier one.
+    fn fit(&self, tiles: &PackedTiles, passes: &[Pass<'_>]) -> bool {
+        passes.iter().enumerate().all(|(index, Pass { x, then })| {
+            let onto = match then.onto {
+                Onto::Nothing => index == 0,
+                Onto::Residual(residual) => {
+                    index == 0 && residual.len() == self.rows * self.outputs
+                }
+                Onto::Written => index > 0,
+            };
+            onto && x.len() == self.rows * tiles.inputs()
+                && then.bias.is_none_or(|bias| bias.len() == self.outputs)
+        })
     }
 
     /// The numbers; `None` where columns are missing.
@@ -99,7 +108,8 @@ impl Results {
         if self.written != self.outputs {
             return None;
         }
-        // SAFETY: `append` had all columns written.
+        // SAFETY: `append` checked that activations and tiles cover all rows and columns, and
+        // `multiply` writes each of their sums.
         unsafe { self.numbers.set_len(self.rows * self.outputs) };
         Some(self.numbers)
     }
@@ -114,7 +124,6 @@ pub(super) struct Columns<'a> {
     width: usize,
     rows: usize,
     then: Then<'a>,
-    result: PhantomData<&'a mut [f32]>,
 }
 
 // SAFETY: a product gives every thread different columns.
@@ -124,7 +133,8 @@ impl Columns<'_> {
     /// Writes the sums of consecutive rows from a column on, up to the last column.
     ///
     /// # Safety
-    /// No other thread may read or write these columns at the same time.
+    /// No other thread may read or write these columns at the same time. With [`Onto::Written`], an
+    /// earlier pass has written them.
     #[inline(always)]
     pub(super) unsafe fn write<S: Simd>(
         &self,
@@ -139,7 +149,7 @@ impl Columns<'_> {
         );
         for (row, sums) in (row..).zip(sums.iter_mut()) {
             let place = row * self.stride + self.first + column;
-            // SAFETY: an earlier pass has written these columns where sums are added to it.
+            // SAFETY: the caller says that an earlier pass has written what is read here.
             unsafe { self.complete(place, column, sums.as_flattened_mut()) };
         }
         if let Some(activation) = self.then.activation {
@@ -155,7 +165,7 @@ impl Columns<'_> {
             unsafe {
                 let place = self.start.add(place).cast::<f32>();
                 if sums.len() <= left {
-                    // A known number, which needs no call.
+                    // A constant length, so that the copy is no call.
                     place.copy_from_nonoverlapping(sums.as_ptr(), COLUMNS);
                 } else {
                     place.copy_from_nonoverlapping(sums.as_ptr(), left);
@@ -178,7 +188,7 @@ impl Columns<'_> {
             }
         }
         match self.then.onto {
-            // -0 becomes 0, as beside any other residual.
+            // −0 becomes 0, as in a sum that starts at 0.
             Onto::Nothing => sums.iter_mut().for_each(|sum| *sum += 0.0),
             Onto::Residual(residual) => {
                 for (sum, residual) in sums.iter_mut().zip(&residual[place..]) {
@@ -200,29 +210,42 @@ impl Columns<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::weight_format::WeightFormat;
     use super::*;
 
     #[test]
     fn columns_that_nobody_wrote_are_no_result() {
+        let tiles = PackedTiles::pack(WeightFormat::F32, 3, 2, &[0; 24]);
+        let x = [0.0; 4];
         let then = Then::default();
         let long = [0.0; 7];
         let residual = Then {
             onto: Onto::Residual(&long),
             ..then
         };
+        let bias = Then {
+            bias: Some(&long),
+            ..then
+        };
         let written = Then {
             onto: Onto::Written,
             ..then
         };
-        let mut results = Results::with_room(2, 3);
-        assert!(Results::with_room(2, 3).finish().is_none());
-        // More columns than there are, a residual of another size, and a first pass that reads.
-        results.append(4, [then], |_, _| panic!("there are three columns"));
-        results.append(3, [residual], |_, _| {
-            panic!("the residual has seven numbers")
-        });
-        results.append(3, [written], |_, _| panic!("nothing is written"));
-        results.append(3, [], |_, _| panic!("there is no pass"));
-        assert!(results.finish().is_none());
+        let finished = |outputs, passes: &[Pass<'_>]| {
+            let mut results = Results::with_room(2, outputs);
+            results.append(&tiles, passes, Instructions::best());
+            results.finish()
+        };
+        assert_eq!(finished(3, &[Pass { x: &x, then }]), Some(vec![0.0; 6]));
+        let short = &x[..2];
+        assert!(finished(3, &[]).is_none());
+        assert!(finished(2, &[Pass { x: &x, then }]).is_none());
+        assert!(finished(4, &[Pass { x: &x, then }]).is_none());
+        assert!(finished(3, &[Pass { x: short, then }]).is_none());
+        for then in [residual, bias, written] {
+            assert!(finished(3, &[Pass { x: &x, then }]).is_none());
+        }
+        let twice = [Pass { x: &x, then }; 2];
+        assert!(finished(3, &twice).is_none());
     }
 }

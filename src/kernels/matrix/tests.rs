@@ -60,9 +60,8 @@ fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
 
 fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec<f32> {
     let mut results = Results::with_room(x.len() / tiles.inputs(), tiles.outputs());
-    results.append(tiles.outputs(), [Then::default()], |_, columns| {
-        product::multiply(tiles, x, columns, instructions);
-    });
+    let then = Then::default();
+    results.append(tiles, &[Pass { x, then }], instructions);
     results.finish().unwrap()
 }
 
@@ -101,6 +100,32 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
         }
     }
     result
+}
+
+/// A row alone takes whole spans straight from the tiles; the rest must not be lost.
+#[test]
+fn floats_have_any_number_of_inputs() {
+    let mut random = Pcg64Mcg::seed_from_u64(5);
+    let widths = (1..4).chain(125..132).chain(253..259);
+    for (inputs, weight_format) in widths
+        .flat_map(|inputs| [WeightFormat::F32, WeightFormat::F16].map(|format| (inputs, format)))
+    {
+        let bytes = random_blocks(weight_format, 40, inputs, 1.0, &mut random);
+        let tiles = PackedTiles::pack(weight_format, 40, inputs, &bytes);
+        for rows in [1, 3] {
+            let x = random_rows(rows, inputs, &mut random);
+            let expected = plain(&tiles, &x);
+            for instructions in Instructions::available() {
+                let found = multiplied(&tiles, &x, instructions);
+                for (found, (value, magnitude)) in found.iter().zip(&expected) {
+                    assert!(
+                        (f64::from(*found) - value).abs() <= magnitude * 1e-5,
+                        "{weight_format} 40x{inputs} {rows} rows {instructions:?}: {found} {value}"
+                    );
+                }
+            }
+        }
+    }
 }
 
 proptest! {

@@ -97,7 +97,7 @@ impl PixelScale {
         Tensor::from_vec(values, (3, height, width), &Device::Cpu)
     }
 
-    /// The values of the 256 bytes of a channel.
+    /// The value of each byte in a channel.
     fn table(&self, channel: usize) -> [f32; 256] {
         std::array::from_fn(|byte| {
             let value = match self.rescale {

@@ -177,7 +177,8 @@ impl Kernel for RowKernel<'_> {
     fn run<S: Simd>(self, _: S) {
         let pixels = self.source.as_chunks::<CHANNELS>().0;
         let widest = self.taps.iter().map(|taps| taps.weights.len()).max();
-        // The channels apart, so that a vector has neighbors of one, and zeros behind the last.
+        // A plane for each channel, so that a vector holds neighbors of one channel. Zeros follow
+        // the last pixel.
         let padded = pixels.len() + widest.unwrap_or(0) * LANES;
         let mut planes = [(); CHANNELS].map(|()| vec![0i32; padded]);
         for (channel, plane) in planes.iter_mut().enumerate() {
@@ -213,7 +214,7 @@ fn along_columns(source: &RgbImage, taps: &[Taps]) -> RgbImage {
     target
 }
 
-/// Computes one row from those of its taps.
+/// Computes one row from the source rows of its taps.
 struct ColumnKernel<'a> {
     source: &'a RgbImage,
     taps: &'a Taps,

@@ -51,9 +51,9 @@ enum Minima {
     Floats,
 }
 
-/// What numbers that are 128 too large add to a run of 32, negated
+/// −128 times the sum of a run's activations: corrects for weights that are 128 too large
 /// ([`Simd::biased_start`]).
-fn surplus(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
+fn correction(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
     -128 * run_sum(sums, run)
 }
 
@@ -376,7 +376,7 @@ fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
         .iter_mut()
         .zip(values.as_chunks::<LANES>().0)
     {
-        // Two loops, which the compiler makes vectors of; of one it did not.
+        // Two loops, because the compiler does not vectorize one.
         let mut rounded = [0; LANES];
         for (rounded, value) in rounded.iter_mut().zip(values) {
             *rounded = (value * inverse + ROUNDING).to_bits();

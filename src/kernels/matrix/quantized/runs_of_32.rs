@@ -2,7 +2,7 @@
 
 use super::super::line::CacheLine;
 use super::super::simd::Simd;
-use super::{Block, Minima, Quantized, SPAN, SUMMED, float, run_sum, surplus, with_fifth_bit};
+use super::{Block, Minima, Quantized, SPAN, SUMMED, correction, float, run_sum, with_fifth_bit};
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
@@ -18,7 +18,7 @@ impl Quantized for Q8_0 {
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
-        surplus(sums, index)
+        correction(sums, index)
     }
 
     #[inline(always)]

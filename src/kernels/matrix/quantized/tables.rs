@@ -3,7 +3,7 @@
 use super::super::line::{CacheLine, LANES};
 use super::super::simd::Simd;
 use super::super::stored_format::{IQ4, MXFP4, MXFP4_BIAS};
-use super::{Block, Minima, Q4_0, Quantized, SPAN, SUMMED, surplus};
+use super::{Block, Minima, Q4_0, Quantized, SPAN, SUMMED, correction};
 
 /// A table for byte products, which take 128 more than a number.
 const fn biased(table: &[i8; 16]) -> [u8; 16] {
@@ -34,7 +34,7 @@ impl Quantized for Iq4Nl {
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
-        surplus(sums, index)
+        correction(sums, index)
     }
 
     #[inline(always)]
@@ -77,7 +77,7 @@ impl Quantized for Iq4Xs {
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
-        surplus(sums, index)
+        correction(sums, index)
     }
 
     #[inline(always)]
@@ -146,7 +146,7 @@ impl Quantized for Mxfp4 {
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
-        surplus(sums, index)
+        correction(sums, index)
     }
 
     #[inline(always)]

@@ -87,7 +87,7 @@ impl Simd for Avx2 {
             let pairs = _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations));
             _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
         });
-        biased_start(_surplus: i32) -> Ints = [_mm256_setzero_si256(); 2];
+        biased_start(_correction: i32) -> Ints = [_mm256_setzero_si256(); 2];
         // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the
         // activation takes the weight's sign.
         dot_biased(sum: Ints, weights: Ints, activations: i32) -> Ints =

@@ -108,10 +108,10 @@ impl Simd for Avx512 {
         }
     }
 
-    // The weights are 128 too large here; `biased_start` subtracts the surplus first.
+    // The weights are 128 too large here, which the correction makes up for.
     #[inline(always)]
-    fn biased_start(self, surplus: i32) -> __m512i {
-        self.ints(surplus)
+    fn biased_start(self, correction: i32) -> __m512i {
+        self.ints(correction)
     }
 
     #[inline(always)]

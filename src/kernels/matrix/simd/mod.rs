@@ -72,9 +72,9 @@ pub trait Simd: Copy + Send + Sync {
     fn ints(self, value: i32) -> Self::Ints;
     /// sum + Σ weight · activation over the four bytes of each lane, for weights below 128.
     fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
-    /// The value that a sum by [`Self::dot_biased`] starts from; `surplus` is −128 times the sum of
-    /// all its activations.
-    fn biased_start(self, surplus: i32) -> Self::Ints;
+    /// The value that a sum by [`Self::dot_biased`] starts from; `correction` is −128 times the
+    /// sum of all its activations.
+    fn biased_start(self, correction: i32) -> Self::Ints;
     /// sum + Σ (weight − 128) · activation over the four bytes of each lane.
     fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
     /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an

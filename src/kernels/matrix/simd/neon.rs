@@ -196,7 +196,7 @@ impl Simd for Neon {
         dot(sum: Ints, weights: Bytes, activations: i32) -> Ints = each_of_two(sum, weights, |sum, weights| {
             signed_dot(sum, vreinterpretq_s8_u8(weights), vreinterpretq_s8_s32(vdupq_n_s32(activations)))
         });
-        biased_start(_surplus: i32) -> Ints = [vdupq_n_s32(0); 4];
+        biased_start(_correction: i32) -> Ints = [vdupq_n_s32(0); 4];
         dot_biased(sum: Ints, weights: Bytes, activations: i32) -> Ints = each_of_two(sum, weights, |sum, weights| {
             let signed = vreinterpretq_s8_u8(veorq_u8(weights, vdupq_n_u8(128)));
             signed_dot(sum, signed, vreinterpretq_s8_s32(vdupq_n_s32(activations)))
