@@ -295,6 +295,7 @@ impl Matrix {
                 bail!("cannot add a tensor of {found:?} to a product of {expected:?}");
             }
         }
+        // After all checks, so that the work of a refused product is not counted.
         Work::count(tokens, self.inputs, self.outputs, self.bytes());
         let result = with_values(x, |x| {
             with_optional(bias, |bias| {
@@ -329,6 +330,7 @@ impl Matrix {
             let lost = rounded
                 .filter(|_| self.in_two_terms)
                 .map(|scaled| quantized::lost_by_rounding(x, self.inputs, scaled));
+            // The second pass completes the sums, so the activation waits for it.
             let passes = match &lost {
                 None => &[Pass { x, then }][..],
                 Some(lost) => &[

@@ -138,6 +138,7 @@ impl<F: Format> Kernel for Pack<'_, F> {
         let count = self.rows.len() / self.inputs;
         let mut padded = vec![0.0; F::SPAN];
         let mut packed = vec![0; count * F::WORDS];
+        // Span by span, since the words of all rows alternate within one.
         let spans = self.words.chunks_mut(count * F::WORDS).enumerate();
         for (span, words) in spans {
             for (values, packed) in self
