@@ -1,4 +1,5 @@
 //! The numbers of a product: memory that threads fill column by column.
+//! Why: docs/decisions/138-results-are-written-once.md.
 #![allow(
     unsafe_code,
     reason = "threads write disjoint columns of memory that nobody has written before"
