@@ -37,6 +37,7 @@ pub use rounded::attend_rounded;
 
 use super::Work;
 use super::matrix::Instructions;
+use super::values::in_parts;
 use candle_core::{Device, Tensor};
 use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 use rayon::prelude::*;
@@ -134,24 +135,18 @@ impl<N: StoredFloat> Attention<'_, N> {
     fn run(&self) -> Vec<f32> {
         let shape = self.rows.shape();
         let (tokens, width) = (self.rows.tokens(), shape.query_heads * shape.width);
-        let mut out = vec![0f32; tokens * width];
-        if tokens == 0 {
-            return out;
-        }
         let step = exact_tokens(shape);
-        if tokens <= step {
-            let seen = self.mask.seen_by(tokens - 1).end;
-            self.attend_few(
-                0..tokens,
-                &mut out,
-                tokens * width * seen >= MIN_PARALLEL_PRODUCTS,
-            );
-        } else {
-            let chunks = out.par_chunks_mut(step * width).enumerate();
-            chunks.for_each(|(index, out)| {
+        if tokens > step {
+            return in_parts(tokens * width, step * width, |index, out| {
                 let first = index * step;
                 self.attend_many(first..tokens.min(first + step), out);
             });
+        }
+        let mut out = vec![0f32; tokens * width];
+        if tokens > 0 {
+            let seen = self.mask.seen_by(tokens - 1).end;
+            let parallel = tokens * width * seen >= MIN_PARALLEL_PRODUCTS;
+            self.attend_few(0..tokens, &mut out, parallel);
         }
         out
     }

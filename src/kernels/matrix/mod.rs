@@ -258,21 +258,11 @@ impl Matrix {
 
     /// Maps f32 rows (tokens, inputs) to (tokens, outputs).
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.forward_onto(x, None, None)
+        self.forward_then(x, None, None, None)
     }
 
     /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens,
-    /// outputs).
-    pub fn forward_onto(
-        &self,
-        x: &Tensor,
-        bias: Option<&Tensor>,
-        residual: Option<&Tensor>,
-    ) -> Result<Tensor> {
-        self.forward_then(x, bias, residual, None)
-    }
-
-    /// As [`Self::forward_onto`], and a function of each sum, in the same pass over the numbers.
+    /// outputs), and a function of each sum, in one pass over the numbers.
     pub(crate) fn forward_then(
         &self,
         x: &Tensor,

@@ -325,7 +325,7 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
         (&x.narrow(1, 9, 88).unwrap() * 2.0).unwrap(),
     );
     let onto = stack
-        .forward_onto(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual))
+        .forward_then(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual), None)
         .unwrap();
     let sum = (stack.forward(&x).unwrap().broadcast_add(&bias).unwrap() + &residual).unwrap();
     let difference = (onto - sum)
@@ -337,7 +337,7 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
         .to_scalar::<f32>()
         .unwrap();
     assert!(difference < 1e-3, "{difference}");
-    assert!(stack.forward_onto(&x, None, Some(&x)).is_err());
+    assert!(stack.forward_then(&x, None, Some(&x), None).is_err());
     let starts = [0, 32, 52, 69, 85];
     for (start, rows) in starts.into_iter().zip(rows) {
         let found = stack.rows(&[start, start + 2]).unwrap();

@@ -225,7 +225,7 @@ impl Kernel for ColumnKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let mut sums = vec![HALF; self.row.len()];
-        let rows = self.source.chunks_exact(self.row.len().max(1));
+        let rows = self.source.chunks_exact(self.row.len());
         for (weight, row) in self.taps.weights.iter().zip(rows.skip(self.taps.first)) {
             for (sum, value) in sums.iter_mut().zip(row) {
                 *sum += i32::from(*value) * weight;
