@@ -287,33 +287,23 @@ impl Matrix {
         }
         // After all checks, so that the work of a refused product is not counted.
         Work::count(tokens, self.inputs, self.outputs, self.bytes());
-        let result = with_values(x, |x| {
+        with_values(x, |x| {
             with_optional(bias, |bias| {
                 with_optional(residual, |residual| {
                     let onto = residual.map_or(Onto::Nothing, Onto::Residual);
-                    Ok(self.product(
-                        x,
-                        tokens,
-                        Then {
-                            onto,
-                            bias,
-                            activation,
-                        },
-                    ))
+                    let then = Then {
+                        onto,
+                        bias,
+                        activation,
+                    };
+                    self.product(x, tokens, then)
                 })
             })
-        })?;
-        match result {
-            Some(result) => Tensor::from_vec(result, shape.as_slice(), &Device::Cpu),
-            None => bail!(
-                "the segments of a matrix do not have its {} rows",
-                self.outputs
-            ),
-        }
+        })
     }
 
-    /// The numbers of [`Self::forward_then`]; `None` if segments are missing.
-    fn product(&self, x: &[f32], tokens: usize, then: Then<'_>) -> Option<Vec<f32>> {
+    /// The result of [`Self::forward_then`].
+    fn product(&self, x: &[f32], tokens: usize, then: Then<'_>) -> Result<Tensor> {
         let mut results = Results::with_room(tokens, self.outputs);
         for segment in &self.segments {
             let rounded = segment.weight_format().activations_a_scale();

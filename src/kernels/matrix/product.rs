@@ -14,9 +14,9 @@ use crate::values::in_parts;
 use rayon::prelude::*;
 use std::marker::PhantomData;
 
-/// Maximum bytes of packed activations that one pass over the weights multiplies; they stay in a
-/// core's second-level cache.
-const MAX_PACKED_BYTES: usize = 1 << 20;
+/// Maximum bytes of packed activations that one pass over the weights multiplies. Of these, two
+/// spans of all rows are read again and again, which a core's second-level cache holds.
+const MAX_PACKED_BYTES: usize = 2 << 20;
 
 /// Maximum bytes of unpacked weights that many rows are multiplied with, one batch after the other:
 /// half of a first-level cache of 48 KiB, which two quantized spans fill, or one of floats.

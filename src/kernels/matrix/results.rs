@@ -6,18 +6,23 @@
 )]
 
 use super::format::{COLUMNS, TileSums};
+use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
 use super::product;
 use super::simd::{Instructions, Simd};
 use crate::activation::Activation;
+use candle_core::{Device, Tensor, bail};
 use std::mem::MaybeUninit;
 
 /// The row-major numbers of a product, (rows, outputs). The columns of its segments are written one
 /// after the other.
 #[derive(Debug)]
 pub(super) struct Results {
-    /// Has room for all numbers, and holds none before [`Self::finish`].
+    /// Has room for all numbers, and holds none before [`Self::finish`] but those that are skipped.
     numbers: Vec<f32>,
+    /// Numbers that are skipped, so that the first of the product begins a cache line. Else each
+    /// piece of a row would share its lines with the next piece, which is written much later.
+    skipped: usize,
     rows: usize,
     outputs: usize,
     /// Columns that are written.
@@ -55,8 +60,13 @@ pub(super) enum Onto<'a> {
 
 impl Results {
     pub(super) fn with_room(rows: usize, outputs: usize) -> Self {
+        let mut numbers: Vec<f32> = Vec::with_capacity(rows * outputs + LANES - 1);
+        let skipped = numbers.as_ptr().align_offset(size_of::<CacheLine>());
+        // The offset may be unknown, as in an interpreter.
+        numbers.resize(skipped.min(LANES - 1), 0.0);
         Self {
-            numbers: Vec::with_capacity(rows * outputs),
+            skipped: numbers.len(),
+            numbers,
             rows,
             outputs,
             written: 0,
@@ -104,15 +114,22 @@ impl Results {
         })
     }
 
-    /// The numbers; `None` where columns are missing.
-    pub(super) fn finish(mut self) -> Option<Vec<f32>> {
+    /// The numbers, (rows, outputs).
+    ///
+    /// # Errors
+    /// When columns are missing.
+    pub(super) fn finish(mut self) -> candle_core::Result<Tensor> {
         if self.written != self.outputs {
-            return None;
+            let (written, outputs) = (self.written, self.outputs);
+            bail!("a product has {written} of its {outputs} columns");
         }
+        let count = self.rows * self.outputs;
         // SAFETY: `append` checked that activations and tiles cover all rows and columns, and
         // `multiply` writes each of their sums.
-        unsafe { self.numbers.set_len(self.rows * self.outputs) };
-        Some(self.numbers)
+        unsafe { self.numbers.set_len(self.skipped + count) };
+        Tensor::from_vec(self.numbers, self.skipped + count, &Device::Cpu)?
+            .narrow(0, self.skipped, count)?
+            .reshape((self.rows, self.outputs))
     }
 }
 
@@ -151,7 +168,7 @@ impl Columns<'_> {
         for (row, sums) in (row..).zip(sums.iter_mut()) {
             let place = row * self.stride + self.first + column;
             // SAFETY: the caller says that an earlier pass has written what is read here.
-            unsafe { self.complete(place, column, sums.as_flattened_mut()) };
+            unsafe { self.complete(simd, place, column, sums) };
         }
         if let Some(activation) = self.then.activation {
             let values = sums.as_flattened_mut().as_flattened_mut();
@@ -180,31 +197,37 @@ impl Columns<'_> {
     /// # Safety
     /// With [`Onto::Written`], these numbers are written.
     #[inline(always)]
-    unsafe fn complete(&self, place: usize, column: usize, sums: &mut [f32]) {
-        let count = sums.len().min(self.width - column);
-        let sums = &mut sums[..count];
+    unsafe fn complete<S: Simd>(&self, simd: S, place: usize, column: usize, sums: &mut TileSums) {
+        let count = COLUMNS.min(self.width - column);
         if let Some(bias) = self.then.bias {
-            for (sum, bias) in sums.iter_mut().zip(&bias[self.first + column..]) {
-                *sum += bias;
-            }
+            add(simd, sums, &bias[self.first + column..][..count]);
         }
         match self.then.onto {
             // −0 becomes 0, as in a sum that starts at 0.
-            Onto::Nothing => sums.iter_mut().for_each(|sum| *sum += 0.0),
-            Onto::Residual(residual) => {
-                for (sum, residual) in sums.iter_mut().zip(&residual[place..]) {
-                    *sum += residual;
-                }
-            }
+            Onto::Nothing => add(simd, sums, &[0.0; COLUMNS]),
+            Onto::Residual(residual) => add(simd, sums, &residual[place..][..count]),
             Onto::Written => {
                 // SAFETY: the caller says that they are written, and the assertion of `write` that
                 // they are within the room.
                 let written =
                     unsafe { std::slice::from_raw_parts(self.start.add(place).cast(), count) };
-                for (sum, written) in sums.iter_mut().zip::<&[f32]>(written) {
-                    *sum += written;
-                }
+                add(simd, sums, written);
             }
+        }
+    }
+}
+
+/// Adds numbers to as many sums.
+#[inline(always)]
+fn add<S: Simd>(simd: S, sums: &mut TileSums, numbers: &[f32]) {
+    // A constant length, so that all numbers stay in registers.
+    if let Some(numbers) = numbers.first_chunk::<COLUMNS>() {
+        for (sums, numbers) in sums.iter_mut().zip(numbers.as_chunks().0) {
+            simd.store(simd.add(simd.load(sums), simd.load(numbers)), sums);
+        }
+    } else {
+        for (sum, number) in sums.as_flattened_mut().iter_mut().zip(numbers) {
+            *sum += number;
         }
     }
 }
@@ -237,16 +260,17 @@ mod tests {
             results.append(&tiles, passes, Instructions::best());
             results.finish()
         };
-        assert_eq!(finished(3, &[Pass { x: &x, then }]), Some(vec![0.0; 6]));
+        let whole = finished(3, &[Pass { x: &x, then }]).unwrap();
+        assert_eq!(whole.to_vec2::<f32>().unwrap(), [[0.0; 3]; 2]);
         let short = &x[..2];
-        assert!(finished(3, &[]).is_none());
-        assert!(finished(2, &[Pass { x: &x, then }]).is_none());
-        assert!(finished(4, &[Pass { x: &x, then }]).is_none());
-        assert!(finished(3, &[Pass { x: short, then }]).is_none());
+        assert!(finished(3, &[]).is_err());
+        assert!(finished(2, &[Pass { x: &x, then }]).is_err());
+        assert!(finished(4, &[Pass { x: &x, then }]).is_err());
+        assert!(finished(3, &[Pass { x: short, then }]).is_err());
         for then in [residual, bias, written] {
-            assert!(finished(3, &[Pass { x: &x, then }]).is_none());
+            assert!(finished(3, &[Pass { x: &x, then }]).is_err());
         }
         let twice = [Pass { x: &x, then }; 2];
-        assert!(finished(3, &twice).is_none());
+        assert!(finished(3, &twice).is_err());
     }
 }

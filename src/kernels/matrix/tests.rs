@@ -62,7 +62,13 @@ fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec
     let mut results = Results::with_room(x.len() / tiles.inputs(), tiles.outputs());
     let then = Then::default();
     results.append(tiles, &[Pass { x, then }], instructions);
-    results.finish().unwrap()
+    results
+        .finish()
+        .unwrap()
+        .flatten_all()
+        .unwrap()
+        .to_vec1()
+        .unwrap()
 }
 
 /// A row of activations as the quantized kernels round it; `scaled` activations share a scale.
