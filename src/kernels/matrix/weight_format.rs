@@ -149,10 +149,15 @@ impl WeightFormat {
         blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
     }
 
-    /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
+    /// This format if it can hold rows of `inputs` numbers, else a finer one that can: blocks of 32
+    /// for those of 256, as llama.cpp chooses them.
+    /// Why: docs/decisions/139-five-bits-for-odd-widths.md.
     pub fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
-            Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K | Self::Iq4Xs => Self::Q8_0,
+            Self::Q3K => Self::Q4_0,
+            Self::Q4K | Self::Iq4Xs => Self::Q5_0,
+            Self::Q5K => Self::Q5_1,
+            Self::Q6K => Self::Q8_0,
             Self::Q8_0
             | Self::Q5_1
             | Self::Q5_0
@@ -272,9 +277,13 @@ mod tests {
 
     #[test]
     fn odd_widths_fall_to_finer_storages() {
-        assert_eq!(WeightFormat::Q4K.or_finer(512), WeightFormat::Q4K);
-        assert_eq!(WeightFormat::Q4K.or_finer(96), WeightFormat::Q8_0);
-        assert_eq!(WeightFormat::Q6K.or_finer(7), WeightFormat::F16);
+        use WeightFormat::{Q3K, Q4_0, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
+        for (asked, finer) in [(Q3K, Q4_0), (Q4K, Q5_0), (Q5K, Q5_1), (Q6K, Q8_0)] {
+            assert_eq!(asked.or_finer(512), asked);
+            assert_eq!(asked.or_finer(96), finer);
+            assert!(finer.bits() > asked.bits());
+            assert_eq!(asked.or_finer(7), WeightFormat::F16);
+        }
         assert_eq!(
             [96, 100].map(|inputs| WeightFormat::Q4_0.or_finer(inputs)),
             [WeightFormat::Q4_0, WeightFormat::F16]

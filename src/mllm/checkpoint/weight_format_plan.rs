@@ -309,7 +309,7 @@ mod tests {
     fn rows_that_are_no_whole_blocks_fall_back_to_the_next_format() {
         for (inputs, expected) in [
             (512, WeightFormat::Q4K),
-            (96, WeightFormat::Q8_0),
+            (96, WeightFormat::Q5_0),
             (100, WeightFormat::F16),
         ] {
             let planned = asked(WeightFormat::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
