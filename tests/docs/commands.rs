@@ -176,14 +176,8 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights nano,smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b,\
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b,\
             llava-1.5-7b --quantize q4_k --calls brief --iterations 2",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
-        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b --quantize \
-            q4_k --calls brief --iterations 2",
         HOURS,
     ),
     (
@@ -193,12 +187,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights lfm2.5-vl-1.6b,llava-onevision-0.5b,qwen2-vl-2b,gemma-3-4b,gemma-4-e2b --quantize q4_k --calls brief --iterations 2",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
-        "planagent bench --random-weights gemma-3n-e2b --quantize q4_k --calls brief --iterations 2",
+        "planagent bench --random-weights lfm2.5-vl-1.6b,llava-onevision-0.5b,qwen2-vl-2b,gemma-3-4b,gemma-4-e2b,gemma-3n-e2b --quantize q4_k --calls brief --iterations 2",
         HOURS,
     ),
     (
@@ -258,24 +247,18 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights llava-1.1b --quantize q4_k --warm-up 0 --iterations 1 --vs llama.cpp",
+        "planagent bench --random-weights llava-1.1b --quantize q4_k --calls brief --iterations 1 --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights llava-1.1b --quantize q8_0 --warm-up 0 --iterations 1 --vs llama.cpp",
+        "planagent bench --random-weights llava-1.1b --quantize q8_0 --calls brief --iterations 1 --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
     (
         "docs/latency.md",
         "planagent bench --random-weights llava-1.5-7b --quantize q4_k --calls brief --warm-up 0 --iterations 1 --vs \
-         llama.cpp",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
-        "planagent bench --random-weights llava-1.5-7b --quantize q8_0 --calls brief --warm-up 0 --iterations 1 --vs \
-         llama.cpp",
+         llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
     (
