@@ -252,7 +252,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights llava-1.1b --quantize q8_0 --calls brief --iterations 1 --vs llama.cpp --llama-python venv/bin/python",
+        "planagent bench --random-weights llava-1.1b --quantize q8_0 --calls brief --iterations 3 --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
     (
