@@ -150,7 +150,7 @@ impl WeightFormat {
     }
 
     /// This format if it can hold rows of `inputs` numbers, else a finer one that can: blocks of 32
-    /// for those of 256, as llama.cpp chooses them.
+    /// for those of 256, which llama.cpp chooses too but for `q3_k` (`iq4_nl`).
     /// Why: docs/decisions/139-five-bits-for-odd-widths.md.
     pub fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
