@@ -5,6 +5,9 @@ use candle_core::{Device, Tensor};
 use candle_transformers::generation::{LogitsProcessor, Sampling as Draw};
 use toktrie::SimpleVob;
 
+/// Logits that a search takes together, without an exit between them: as many as some vectors.
+const SEARCHED: usize = 64;
+
 pub(crate) enum Sampler {
     /// The most likely token.
     Greedy,
@@ -57,7 +60,7 @@ impl Sampler {
         position: usize,
     ) -> Result<u32, MllmError> {
         // NaN compares with nothing: a broken model would seem to choose a token.
-        if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
+        if let Some(token) = first_not_finite(&logits) {
             return Err(MllmError::NonFiniteLogits {
                 position,
                 token,
@@ -114,15 +117,29 @@ pub(crate) fn may_follow(token: u32, allowed: Option<&SimpleVob>, banned: u32) -
 
 /// The token of the largest logit, the lowest of equals; `None` if all are minus infinity.
 pub(crate) fn most_likely(logits: &[f32]) -> Option<u32> {
-    let mut best = None;
-    let mut highest = f32::NEG_INFINITY;
-    for (token, logit) in logits.iter().enumerate() {
-        if *logit > highest {
-            highest = *logit;
-            best = Some(token as u32);
+    let larger = |most: f32, logit: f32| if logit > most { logit } else { most };
+    let mut most = [f32::NEG_INFINITY; SEARCHED];
+    let (whole, rest) = logits.as_chunks::<SEARCHED>();
+    for logits in whole {
+        for (most, logit) in most.iter_mut().zip(logits) {
+            *most = larger(*most, *logit);
         }
     }
-    best
+    let highest = most.iter().chain(rest).copied().reduce(larger)?;
+    if highest == f32::NEG_INFINITY {
+        return None;
+    }
+    let token = logits.iter().position(|logit| *logit >= highest)?;
+    Some(token as u32)
+}
+
+fn first_not_finite(logits: &[f32]) -> Option<usize> {
+    // No early exit within a part: the compiler does not vectorize loops with one.
+    let are_finite = |logits: &[f32]| logits.iter().fold(true, |all, x| all & x.is_finite());
+    let part = logits.chunks(SEARCHED).position(|part| !are_finite(part))?;
+    let first = part * SEARCHED;
+    let within = logits[first..].iter().position(|x| !x.is_finite())?;
+    Some(first + within)
 }
 
 /// The seed of an answer, from the conversation's seed (the finalizer of `SplitMix64`).
@@ -217,5 +234,27 @@ mod tests {
         for (temperature, top_p) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0), (1.0, 1.5)] {
             assert!(Sampler::new(Sampling::Sample { temperature, top_p }, 0).is_err());
         }
+    }
+
+    #[test]
+    fn rows_of_any_length_are_searched_to_their_end() {
+        for count in [1, 63, 64, 65, 200] {
+            for token in 0..count {
+                let mut logits = vec![-1.0; count];
+                logits[token] = 2.0;
+                // The lowest of equals.
+                logits[count - 1] = 2.0;
+                assert_eq!(most_likely(&logits), Some(token as u32));
+                assert_eq!(first_not_finite(&logits), None);
+                for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                    logits[token] = value;
+                    assert_eq!(first_not_finite(&logits), Some(token));
+                }
+            }
+            assert_eq!(most_likely(&vec![f32::NEG_INFINITY; count]), None);
+            // As a draft model may give it.
+            assert_eq!(most_likely(&vec![f32::NAN; count]), None);
+        }
+        assert_eq!(most_likely(&[]), None);
     }
 }

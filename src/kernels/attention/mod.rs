@@ -35,9 +35,9 @@ pub use rotary::{Position, position_end};
 pub use rotary::{RotaryEmbedding, RotaryRows};
 pub use rounded::attend_rounded;
 
-use super::Work;
 use super::matrix::Instructions;
 use super::values::in_parts;
+use super::{Awake, Work};
 use candle_core::{Device, Tensor};
 use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 use rayon::prelude::*;
@@ -52,6 +52,8 @@ const MAX_UNIT_ROWS: usize = 192;
 const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 /// Minimum multiplications for which other threads are worth waking: some 30 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
+/// The same where a thread is awake: a few µs.
+const MIN_AWAKE_PRODUCTS: usize = 1 << 16;
 
 /// Maximum number of tokens whose results have the same bits as if each token attended alone. A
 /// unit takes all of them, and positions are cut as for one token.
@@ -145,7 +147,12 @@ impl<N: StoredFloat> Attention<'_, N> {
         let mut out = vec![0f32; tokens * width];
         if tokens > 0 {
             let seen = self.mask.seen_by(tokens - 1).end;
-            let parallel = tokens * width * seen >= MIN_PARALLEL_PRODUCTS;
+            let enough = if Awake::is_anybody() {
+                MIN_AWAKE_PRODUCTS
+            } else {
+                MIN_PARALLEL_PRODUCTS
+            };
+            let parallel = tokens * width * seen >= enough;
             self.attend_few(0..tokens, &mut out, parallel);
         }
         out

@@ -317,6 +317,7 @@ impl Kernel for RoundedKernel<'_> {
                 row += match rows_at_once(rows - row) {
                     6 => kernel.attend_from::<S, 6>(simd, block, row),
                     4 => kernel.attend_from::<S, 4>(simd, block, row),
+                    3 => kernel.attend_from::<S, 3>(simd, block, row),
                     2 => kernel.attend_from::<S, 2>(simd, block, row),
                     _ => kernel.attend_from::<S, 1>(simd, block, row),
                 };

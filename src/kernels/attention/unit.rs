@@ -155,6 +155,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
             row += match rows_at_once(rows - row) {
                 6 => self.attend_from::<S, M, 6>(simd, block, queries, row, partial),
                 4 => self.attend_from::<S, M, 4>(simd, block, queries, row, partial),
+                3 => self.attend_from::<S, M, 3>(simd, block, queries, row, partial),
                 2 => self.attend_from::<S, M, 2>(simd, block, queries, row, partial),
                 _ => self.attend_from::<S, M, 1>(simd, block, queries, row, partial),
             };
@@ -240,12 +241,12 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
     }
 }
 
-/// How many of the remaining rows are computed together.
+/// How many of the remaining rows are computed together. A row alone would wait for its own sums.
 pub(super) fn rows_at_once(rows: usize) -> usize {
     match rows {
+        7 => 4,
         6.. => 6,
-        4 | 5 => 4,
-        2 | 3 => 2,
+        5 => 3,
         _ => rows,
     }
 }
