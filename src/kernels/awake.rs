@@ -4,6 +4,7 @@
 //! thread does. An idle thread of rayon's pool sleeps after some microseconds, and to wake it takes
 //! about as long as such a product. Why: docs/decisions/133-threads-stay-awake.md.
 
+use crate::read_ahead::{self, Reader};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -30,18 +31,24 @@ impl Awake {
         let done = Arc::new(AtomicBool::new(false));
         let is_alone = PASSES.fetch_add(1, Ordering::Relaxed) == 0;
         if let (true, Some(own)) = (is_alone, rayon::current_thread_index()) {
+            read_ahead::begin();
             for _ in 1..rayon::current_num_threads() {
                 let done = Arc::clone(&done);
                 rayon::spawn(move || {
                     // While this thread waits for a part of its product it takes any work, this
                     // too, and must go on.
-                    if rayon::current_thread_index() != Some(own) {
-                        wait(&done);
+                    if let Some(here) = rayon::current_thread_index().filter(|here| *here != own) {
+                        wait(&done, Reader::new(here, own));
                     }
                 });
             }
         }
         Self { done }
+    }
+
+    /// Whether one pass is in progress.
+    pub(crate) fn is_one_pass() -> bool {
+        PASSES.load(Ordering::Relaxed) == 1
     }
 
     /// Whether a thread waits for work.
@@ -57,8 +64,8 @@ impl Drop for Awake {
     }
 }
 
-/// Does work of the pool until the pass is done.
-fn wait(done: &AtomicBool) {
+/// Does work of the pool until the pass is done, and reads ahead where there is none.
+fn wait(done: &AtomicBool, mut reader: Reader) {
     AWAKE.fetch_add(1, Ordering::Relaxed);
     let mut found_nothing = 0;
     while !done.load(Ordering::Acquire) && PASSES.load(Ordering::Relaxed) == 1 {
@@ -70,7 +77,9 @@ fn wait(done: &AtomicBool) {
         if found_nothing % LOOKS == 0 {
             std::thread::yield_now();
         }
-        (0..PAUSES).for_each(|_| std::hint::spin_loop());
+        if !reader.read() {
+            (0..PAUSES).for_each(|_| std::hint::spin_loop());
+        }
     }
     AWAKE.fetch_sub(1, Ordering::Relaxed);
 }

@@ -11,6 +11,7 @@ pub mod limits;
 mod linear;
 pub mod matrix;
 pub mod pointwise;
+mod read_ahead;
 mod rms_norm;
 mod sparse_gates;
 pub mod values;

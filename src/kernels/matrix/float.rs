@@ -1,6 +1,6 @@
 //! Products of f16 and f32 weights with f32 activations, summed in f32.
 
-use super::format::{Format, TILES, TileSums, prefetch_part};
+use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 use std::marker::PhantomData;
@@ -53,6 +53,7 @@ impl<W: Width> Format for Float<W> {
     const LINES: usize = SPAN / W::NUMBERS;
     const WORDS: usize = SPAN;
     type Block = [[f32; LANES]; SPAN];
+    type Scales = ();
 
     fn row_words(inputs: usize) -> usize {
         inputs
@@ -61,6 +62,8 @@ impl<W: Width> Format for Float<W> {
     fn zeros() -> Self::Block {
         [[0.0; LANES]; SPAN]
     }
+
+    fn no_scales() {}
 
     #[inline(always)]
     fn pack<S: Simd>(_: S, values: &[f32], words: &mut [i32]) {
@@ -110,27 +113,35 @@ impl<W: Width> Format for Float<W> {
     }
 
     #[inline(always)]
-    fn multiply_row<S: Simd>(
+    fn multiply_packed<S: Simd, const ROWS: usize>(
         simd: S,
-        tiles: [&[CacheLine]; TILES],
-        ahead: [*const CacheLine; TILES],
-        _: &mut [Self::Block; TILES],
+        span: PackedSpan<'_>,
+        _: &mut [(); TILES],
         words: &[i32],
-        sums: &mut TileSums,
+        _: usize,
+        sums: &mut [TileSums; ROWS],
     ) {
-        let mut totals = [simd.floats(0.0); TILES];
-        let groups = words.chunks_exact(W::NUMBERS).zip(tiles[0]).zip(tiles[1]);
-        for (part, ((activations, first), second)) in groups.enumerate() {
-            prefetch_part(simd, ahead, Self::LINES, part, Self::LINES);
-            for (index, activation) in activations.iter().enumerate() {
-                let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
-                for (total, line) in totals.iter_mut().zip([first, second]) {
-                    *total = simd.mul_add(activation, W::load(simd, line, index), *total);
+        let mut totals = [[simd.floats(0.0); TILES]; ROWS];
+        let rows = words.as_chunks::<ROWS>().0;
+        let lines = span.tiles[0].iter().zip(span.tiles[1]);
+        for (part, (rows, lines)) in rows.chunks(W::NUMBERS).zip(lines).enumerate() {
+            prefetch_part(simd, span.ahead, Self::LINES, part, Self::LINES);
+            for (index, activations) in rows.iter().enumerate() {
+                let weights = [W::load(simd, lines.0, index), W::load(simd, lines.1, index)];
+                // By index: with iterators, five rows and more would not stay in registers.
+                for row in 0..ROWS {
+                    let activation = simd.floats(f32::from_bits(activations[row].cast_unsigned()));
+                    for tile in 0..TILES {
+                        totals[row][tile] =
+                            simd.mul_add(activation, weights[tile], totals[row][tile]);
+                    }
                 }
             }
         }
-        for (sum, total) in sums.iter_mut().zip(totals) {
-            simd.store(simd.add(simd.load(sum), total), sum);
+        for (sums, totals) in sums.iter_mut().zip(totals) {
+            for (sum, total) in sums.iter_mut().zip(totals) {
+                simd.store(simd.add(simd.load(sum), total), sum);
+            }
         }
     }
 }

@@ -28,6 +28,8 @@ pub(super) trait Format {
     const WORDS: usize;
     /// The unpacked weights of a tile in a span.
     type Block: Clone;
+    /// The unpacked scales of a tile in a span, without its numbers.
+    type Scales;
 
     /// Words of a row's packed activations in all spans. The last may have fewer than
     /// [`Self::WORDS`].
@@ -36,6 +38,8 @@ pub(super) trait Format {
     }
 
     fn zeros() -> Self::Block;
+
+    fn no_scales() -> Self::Scales;
 
     /// Packs the [`Self::SPAN`] activations of a row in a span.
     fn pack<S: Simd>(simd: S, values: &[f32], words: &mut [i32]);
@@ -54,17 +58,24 @@ pub(super) trait Format {
         sums: &mut [TileSums; ROWS],
     );
 
-    /// Adds the products of a span with one row to its sums, straight from the packed lines.
-    /// Decoding reads every weight once, so unpacked weights would only be copies. `tiles` has
-    /// whole spans; the lines from `ahead` on are prefetched.
-    fn multiply_row<S: Simd>(
+    /// As [`Self::multiply`], straight from the packed lines. A few rows read every weight once, so
+    /// unpacked weights would only be copies. The last span of a row may have fewer than
+    /// [`Self::LINES`] lines. The lines from `ahead` on are prefetched.
+    fn multiply_packed<S: Simd, const ROWS: usize>(
         simd: S,
-        tiles: [&[CacheLine]; TILES],
-        ahead: [*const CacheLine; TILES],
-        blocks: &mut [Self::Block; TILES],
+        tiles: PackedSpan<'_>,
+        scales: &mut [Self::Scales; TILES],
         words: &[i32],
-        sums: &mut TileSums,
+        inputs: usize,
+        sums: &mut [TileSums; ROWS],
     );
+}
+
+/// The lines of a pair of tiles in a span, and those to prefetch.
+#[derive(Clone, Copy)]
+pub(super) struct PackedSpan<'a> {
+    pub(super) tiles: [&'a [CacheLine]; TILES],
+    pub(super) ahead: [*const CacheLine; TILES],
 }
 
 /// Prefetches part `part` of `parts` of the `lines` from `ahead` on. Requests in small groups

@@ -2,7 +2,7 @@
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
 use super::float::{Float, Half, Single};
-use super::format::{COLUMNS, Format, MAX_BATCH, TILES, TileSums};
+use super::format::{COLUMNS, Format, MAX_BATCH, PackedSpan, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
 use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
@@ -10,6 +10,7 @@ use super::results::Columns;
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 use crate::Awake;
+use crate::read_ahead;
 use crate::values::in_parts;
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -21,6 +22,10 @@ const MAX_PACKED_BYTES: usize = 2 << 20;
 /// Maximum bytes of unpacked weights that many rows are multiplied with, one batch after the other:
 /// half of a first-level cache of 48 KiB, which two quantized spans fill, or one of floats.
 const MAX_UNPACKED_BYTES: usize = 24 << 10;
+
+/// Maximum rows that are multiplied with weights as they are stored: four batches.
+/// Why: docs/decisions/141-few-rows-as-stored.md.
+const MAX_PACKED_ROWS: usize = 24;
 
 /// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
@@ -72,6 +77,9 @@ fn multiply_as<F: Format>(
     let row_words = F::row_words(inputs);
     let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
     let threads = rayon::current_num_threads();
+    if Awake::is_one_pass() {
+        read_ahead::multiplied(tiles.lines());
+    }
     // The outer loop is over activations that fit the cache: weights are streamed from memory once
     // a chunk.
     for (index, rows) in x.chunks(chunk * inputs).enumerate() {
@@ -217,28 +225,46 @@ impl<F: Format> Product<'_, F> {
         }
     }
 
-    /// Multiplies one row with the whole spans of a pair of tiles. Returns how many spans these
-    /// are.
+    /// Multiplies straight from the tiles, batch by batch.
     #[inline(always)]
-    fn multiply_row<S: Simd>(
+    fn run_packed<S: Simd>(&self, simd: S) {
+        let mut scales = [F::no_scales(), F::no_scales()];
+        let scales = &mut scales;
+        for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
+            let batches = self.words.chunks(MAX_BATCH * self.row_words).enumerate();
+            for (batch, words) in batches {
+                let place = (self.row + batch * MAX_BATCH, self.first + index * COLUMNS);
+                match words.len() / self.row_words {
+                    1 => self.multiply_pair::<S, 1>(simd, pair, words, scales, place),
+                    2 => self.multiply_pair::<S, 2>(simd, pair, words, scales, place),
+                    3 => self.multiply_pair::<S, 3>(simd, pair, words, scales, place),
+                    4 => self.multiply_pair::<S, 4>(simd, pair, words, scales, place),
+                    5 => self.multiply_pair::<S, 5>(simd, pair, words, scales, place),
+                    _ => self.multiply_pair::<S, MAX_BATCH>(simd, pair, words, scales, place),
+                }
+            }
+        }
+    }
+
+    /// Multiplies a batch with a pair of tiles, and writes the products from a row and column on.
+    #[inline(always)]
+    fn multiply_pair<S: Simd, const ROWS: usize>(
         &self,
         simd: S,
         pair: &[CacheLine],
-        blocks: &mut [F::Block; TILES],
-        sums: &mut TileSums,
-    ) -> usize {
-        let tiles = pair.split_at(self.tile_lines.min(pair.len()));
-        if tiles.1.len() < self.tile_lines {
-            return 0;
-        }
-        // A line of f16 that is half full belongs to no whole span.
-        let whole = (self.tile_lines / F::LINES).min(self.words.len() / F::WORDS);
+        words: &[i32],
+        scales: &mut [F::Scales; TILES],
+        (row, column): (usize, usize),
+    ) {
+        let mut sums = [[[0.0; LANES]; TILES]; ROWS];
+        let (first, second) = pair.split_at(self.tile_lines);
+        // Where the last tile has no other beside it, nobody reads the second sums.
+        let second = if second.is_empty() { first } else { second };
         let distance = PREFETCH_BYTES.div_ceil(TILES * F::LINES * size_of::<CacheLine>());
-        let spans = tiles
-            .0
-            .chunks_exact(F::LINES)
-            .zip(tiles.1.chunks_exact(F::LINES));
-        for ((span, words), lines) in self.words.chunks_exact(F::WORDS).enumerate().zip(spans) {
+        let whole = self.tile_lines / F::LINES;
+        let words = words.chunks(ROWS * F::WORDS).enumerate();
+        let lines = first.chunks(F::LINES).zip(second.chunks(F::LINES));
+        for ((span, words), lines) in words.zip(lines) {
             // Past the end of a tile, its successor in the next pair follows one tile later.
             let beyond = if span + distance < whole {
                 0
@@ -246,46 +272,31 @@ impl<F: Format> Product<'_, F> {
                 self.tile_lines
             };
             let next = distance * F::LINES + beyond;
-            let ahead = [
-                lines.0.as_ptr().wrapping_add(next),
-                lines.1.as_ptr().wrapping_add(next),
-            ];
-            F::multiply_row(simd, [lines.0, lines.1], ahead, blocks, words, sums);
+            let packed = PackedSpan {
+                tiles: [lines.0, lines.1],
+                ahead: [
+                    lines.0.as_ptr().wrapping_add(next),
+                    lines.1.as_ptr().wrapping_add(next),
+                ],
+            };
+            let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
+            F::multiply_packed(simd, packed, scales, words, inputs, &mut sums);
         }
-        whole
+        // SAFETY: only this thread writes the outputs of these tiles.
+        unsafe { self.out.write(simd, row, column, &mut sums) };
     }
-}
 
-impl<F: Format> Kernel for Product<'_, F> {
+    /// Multiplies several batches, which share unpacked weights.
     #[inline(always)]
-    fn run<S: Simd>(self, simd: S) {
-        let rows = self.words.len() / self.row_words;
+    fn run_unpacked<S: Simd>(&self, simd: S, rows: usize) {
         let spans = self.inputs.div_ceil(F::SPAN);
-        // A single batch gains nothing from spans that are unpacked together.
-        let step = if rows > MAX_BATCH {
-            (MAX_UNPACKED_BYTES / size_of::<[F::Block; TILES]>()).clamp(1, spans)
-        } else {
-            1
-        };
-        // On the stack where one is enough: a row of a decoder takes some microseconds.
-        let mut one = [std::array::from_fn(|_| F::zeros())];
-        let mut several;
-        let blocks: &mut [[F::Block; TILES]] = if step > 1 {
-            several = vec![one[0].clone(); step];
-            &mut several
-        } else {
-            &mut one
-        };
+        let step = (MAX_UNPACKED_BYTES / size_of::<[F::Block; TILES]>()).clamp(1, spans);
+        let mut blocks = vec![[F::zeros(), F::zeros()]; step];
         let mut sums = vec![[[0.0; LANES]; TILES]; rows];
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
-            let done = match sums.as_mut_slice() {
-                [sums] => self.multiply_row(simd, pair, &mut blocks[0], sums),
-                _ => 0,
-            };
             let column = self.first + index * COLUMNS;
-            // At least once, so that the sums are written even if no span is left.
-            for first in (done..spans.max(done + 1)).step_by(step) {
+            for first in (0..spans).step_by(step) {
                 let group = first..spans.min(first + step);
                 for (span, blocks) in group.clone().zip(&mut *blocks) {
                     self.unpack(simd, pair, span, blocks);
@@ -308,6 +319,16 @@ impl<F: Format> Kernel for Product<'_, F> {
                     }
                 }
             }
+        }
+    }
+}
+
+impl<F: Format> Kernel for Product<'_, F> {
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        match self.words.len() / self.row_words {
+            0..=MAX_PACKED_ROWS => self.run_packed(simd),
+            rows => self.run_unpacked(simd, rows),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::super::line::{CacheLine, LANES};
 use super::super::simd::Simd;
-use super::{Block, Minima, Quantized, SPAN, SUMMED, run_sum, with_fifth_bit};
+use super::{Minima, Quantized, SPAN, SUMMED, Scales, run_sum, with_fifth_bit};
 
 /// ggml's `q6_k`: w = d · scale · (number − 32), with a scale for every 16.
 #[derive(Debug, Clone, Copy)]
@@ -38,12 +38,12 @@ impl Quantized for Q6K {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         let Some(lines) = lines.first_chunk::<53>() else {
             return;
         };
         let scale = simd.load_half(&lines[52].halves(0));
-        for (run, scales) in block.scales.iter_mut().enumerate() {
+        for (run, scales) in unpacked.runs.iter_mut().enumerate() {
             simd.store(
                 simd.mul(
                     scale,
@@ -88,14 +88,14 @@ impl Quantized for Q5K {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         let Some(lines) = lines.first_chunk::<44>() else {
             return;
         };
         unpack_six_bits(
             simd,
             [&lines[40], &lines[41], &lines[42], &lines[43]],
-            block,
+            unpacked,
         );
     }
 }
@@ -131,14 +131,14 @@ impl Quantized for Q4K {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         let Some(lines) = lines.first_chunk::<36>() else {
             return;
         };
         unpack_six_bits(
             simd,
             [&lines[32], &lines[33], &lines[34], &lines[35]],
-            block,
+            unpacked,
         );
     }
 }
@@ -179,12 +179,12 @@ impl Quantized for Q3K {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         let Some(lines) = lines.first_chunk::<28>() else {
             return;
         };
         let quarter = simd.mul(simd.load_half(&lines[27].halves(0)), simd.floats(0.25));
-        for (run, out) in block.scales.iter_mut().enumerate() {
+        for (run, out) in unpacked.runs.iter_mut().enumerate() {
             let four = lines[24 + run % 8 / 4].quarter(run % 4);
             let two = lines[26].quarter(run % 4);
             let mut scales = [0; LANES];
@@ -203,7 +203,7 @@ impl Quantized for Q3K {
 fn unpack_six_bits<S: Simd>(
     simd: S,
     [halves, first, second, third]: [&CacheLine; 4],
-    block: &mut Block,
+    unpacked: &mut Scales,
 ) {
     let packed = [first, second, third].map(|line| [0, 1, 2, 3].map(|index| line.quarter(index)));
     let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
@@ -223,16 +223,19 @@ fn unpack_six_bits<S: Simd>(
         }
     }
     let scale = simd.load_half(&halves.halves(0));
-    for (out, scales) in block.scales.iter_mut().zip(&scales) {
+    for (out, scales) in unpacked.runs.iter_mut().zip(&scales) {
         simd.store(
             simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))),
             out,
         );
     }
-    for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
+    for (out, minima) in unpacked.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
         for lane in 0..LANES {
             out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
         }
     }
-    simd.store(simd.load_half(&halves.halves(1)), &mut block.minimum_scale);
+    simd.store(
+        simd.load_half(&halves.halves(1)),
+        &mut unpacked.minimum_scale,
+    );
 }

@@ -11,7 +11,7 @@ pub(super) use k_quants::{Q3K, Q4K, Q5K, Q6K};
 pub(super) use runs_of_32::{Q4_0, Q4_1, Q5_0, Q5_1, Q8_0};
 pub(super) use tables::{Iq4Nl, Iq4Xs, Mxfp4};
 
-use super::format::{Format, TILES, TileSums, prefetch_part};
+use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 use rayon::prelude::*;
@@ -30,8 +30,14 @@ const MAX_MAGNITUDE: f32 = 127.0;
 pub(super) struct Block {
     /// Unsigned bytes, four of each output a cache line.
     numbers: [CacheLine; STEPS],
+    scales: Scales,
+}
+
+/// Unpacked scales and minima of sixteen outputs in a span.
+#[derive(Debug, Clone)]
+pub(super) struct Scales {
     /// Scale of each run.
-    scales: [[f32; LANES]; SPAN / SUMMED],
+    runs: [[f32; LANES]; SPAN / SUMMED],
     /// Minima of [`Minima::Scaled`]: that of each run, two runs in an `i32`.
     minima: [[i32; LANES]; 4],
     /// Their scale.
@@ -82,7 +88,7 @@ trait Quantized {
     /// zeros.
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes;
     /// Unpacks scales and minima. `lines` may end early: then zeros.
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales);
 
     /// The value that the sum of a run without minima starts from; `word` is its word of activation
     /// sums.
@@ -104,11 +110,18 @@ impl<Q: Quantized> Format for Q {
     /// Numbers, sums, scales.
     const WORDS: usize = STEPS + Q::SUM_WORDS + SPAN / Q::SCALED;
     type Block = Block;
+    type Scales = Scales;
 
     fn zeros() -> Block {
         Block {
             numbers: [CacheLine::ZERO; STEPS],
-            scales: [[0.0; LANES]; SPAN / SUMMED],
+            scales: Self::no_scales(),
+        }
+    }
+
+    fn no_scales() -> Scales {
+        Scales {
+            runs: [[0.0; LANES]; SPAN / SUMMED],
             minima: [[0; LANES]; 4],
             minimum_scale: [0.0; LANES],
             float_minima: [[0.0; LANES]; SPAN / 32],
@@ -145,7 +158,7 @@ impl<Q: Quantized> Format for Q {
         for (step, numbers) in block.numbers.iter_mut().enumerate() {
             simd.store_bytes(Q::numbers(simd, lines, step), numbers);
         }
-        Q::unpack_scales(simd, lines, block);
+        Q::unpack_scales(simd, lines, &mut block.scales);
     }
 
     #[inline(always)]
@@ -159,7 +172,7 @@ impl<Q: Quantized> Format for Q {
         let runs = inputs.div_ceil(Q::RUN);
         add_products::<Q, S, Unpacked<'_>, ROWS>(
             simd,
-            blocks,
+            blocks.each_ref().map(|block| &block.scales),
             &Unpacked(blocks),
             words,
             runs,
@@ -168,29 +181,42 @@ impl<Q: Quantized> Format for Q {
     }
 
     #[inline(always)]
-    fn multiply_row<S: Simd>(
+    fn multiply_packed<S: Simd, const ROWS: usize>(
         simd: S,
-        tiles: [&[CacheLine]; TILES],
-        ahead: [*const CacheLine; TILES],
-        blocks: &mut [Block; TILES],
+        span: PackedSpan<'_>,
+        scales: &mut [Scales; TILES],
         words: &[i32],
-        sums: &mut TileSums,
+        inputs: usize,
+        sums: &mut [TileSums; ROWS],
     ) {
-        // The compiler then knows the lengths, and tests no bounds below.
-        let tiles = [&tiles[0][..Self::LINES], &tiles[1][..Self::LINES]];
-        for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
-            Q::unpack_scales(simd, lines, block);
+        let PackedSpan { tiles, ahead } = span;
+        let runs = inputs.div_ceil(Q::RUN);
+        if tiles[0].len().min(tiles[1].len()) == Self::LINES && runs == SPAN / Q::RUN {
+            // The compiler then knows the lengths, and tests no bounds below.
+            let tiles = [&tiles[0][..Self::LINES], &tiles[1][..Self::LINES]];
+            let packed = PackedSpan { tiles, ahead };
+            multiply_lines::<Q, S, ROWS>(simd, packed, scales, words, SPAN / Q::RUN, sums);
+        } else {
+            multiply_lines::<Q, S, ROWS>(simd, span, scales, words, runs, sums);
         }
-        let numbers = Packed { tiles, ahead };
-        add_products::<Q, S, Packed<'_>, 1>(
-            simd,
-            blocks,
-            &numbers,
-            words,
-            SPAN / Q::RUN,
-            std::array::from_mut(sums),
-        );
     }
+}
+
+/// Adds the products of the first `runs` of a span, as it is stored, to the sums of the rows.
+#[inline(always)]
+fn multiply_lines<Q: Quantized, S: Simd, const ROWS: usize>(
+    simd: S,
+    span: PackedSpan<'_>,
+    scales: &mut [Scales; TILES],
+    words: &[i32],
+    runs: usize,
+    sums: &mut [TileSums; ROWS],
+) {
+    for (lines, scales) in span.tiles.into_iter().zip(&mut *scales) {
+        Q::unpack_scales(simd, lines, scales);
+    }
+    let [first, second] = scales;
+    add_products::<Q, S, PackedSpan<'_>, ROWS>(simd, [first, second], &span, words, runs, sums);
 }
 
 /// Where the numbers of a span come from. A trait and not closures. A closure that is not inlined
@@ -220,13 +246,7 @@ impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
     }
 }
 
-/// The lines as they are stored, for one row, and the lines that come next.
-struct Packed<'a> {
-    tiles: [&'a [CacheLine]; TILES],
-    ahead: [*const CacheLine; TILES],
-}
-
-impl<Q: Quantized> Numbers<Q> for Packed<'_> {
+impl<Q: Quantized> Numbers<Q> for PackedSpan<'_> {
     #[inline(always)]
     fn begin<S: Simd>(&self, simd: S, run: usize) {
         prefetch_part(simd, self.ahead, Q::LINES, run, SPAN / Q::RUN);
@@ -246,7 +266,7 @@ impl<Q: Quantized> Numbers<Q> for Packed<'_> {
 #[inline(always)]
 fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     simd: S,
-    blocks: &[Block; TILES],
+    unpacked: [&Scales; TILES],
     numbers: &N,
     words: &[i32],
     runs: usize,
@@ -276,8 +296,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
             }
         }
         let mut weight_scales = [simd.floats(0.0); TILES];
-        for (scale, block) in weight_scales.iter_mut().zip(blocks) {
-            *scale = simd.load(&block.scales[run]);
+        for (scale, unpacked) in weight_scales.iter_mut().zip(unpacked) {
+            *scale = simd.load(&unpacked.runs[run]);
         }
         for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
             for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales)
@@ -293,8 +313,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
         }
         if Q::MINIMA == Minima::Floats {
             let mut minima = [simd.floats(0.0); TILES];
-            for (minimum, block) in minima.iter_mut().zip(blocks) {
-                *minimum = simd.load(&block.float_minima[run]);
+            for (minimum, unpacked) in minima.iter_mut().zip(unpacked) {
+                *minimum = simd.load(&unpacked.float_minima[run]);
             }
             for (span, sum) in spans.iter_mut().zip(&run_sums[run]) {
                 let sum = simd.floats(float(*sum));
@@ -308,8 +328,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
         let mut products = [[simd.ints(0); TILES]; ROWS];
         for (pair, sums) in run_sums.iter().enumerate() {
             let mut minima = [simd.ints(0); TILES];
-            for (minima, block) in minima.iter_mut().zip(blocks) {
-                *minima = simd.load_ints(&block.minima[pair]);
+            for (minima, unpacked) in minima.iter_mut().zip(unpacked) {
+                *minima = simd.load_ints(&unpacked.minima[pair]);
             }
             for (products, sum) in products.iter_mut().zip(sums) {
                 for (product, minima) in products.iter_mut().zip(minima) {
@@ -318,8 +338,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
             }
         }
         let mut scales = [simd.floats(0.0); TILES];
-        for (scale, block) in scales.iter_mut().zip(blocks) {
-            *scale = simd.load(&block.minimum_scale);
+        for (scale, unpacked) in scales.iter_mut().zip(unpacked) {
+            *scale = simd.load(&unpacked.minimum_scale);
         }
         for (span, products) in spans.iter_mut().zip(products) {
             for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {

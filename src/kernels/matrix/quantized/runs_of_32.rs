@@ -2,7 +2,7 @@
 
 use super::super::line::CacheLine;
 use super::super::simd::Simd;
-use super::{Block, Minima, Quantized, SPAN, SUMMED, correction, float, run_sum, with_fifth_bit};
+use super::{Minima, Quantized, SPAN, SUMMED, Scales, correction, float, run_sum, with_fifth_bit};
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
@@ -31,12 +31,12 @@ impl Quantized for Q8_0 {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         for run in 0..8 {
             let scales = lines.get(run / 2 * 17 + 16).unwrap_or(&CacheLine::ZERO);
             simd.store(
                 simd.load_half(&scales.halves(run % 2)),
-                &mut block.scales[run],
+                &mut unpacked.runs[run],
             );
         }
     }
@@ -121,17 +121,17 @@ impl<const FIFTH: usize, const MINIMUM: bool> Quantized for FewBits<FIFTH, MINIM
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         for run in 0..8 {
             let halves = Self::line(lines, run, Self::GROUP_LINES - 1);
             simd.store(
                 simd.load_half(&halves.halves(run % Self::GROUP)),
-                &mut block.scales[run],
+                &mut unpacked.runs[run],
             );
             if MINIMUM {
                 simd.store(
                     simd.load_half(&halves.halves(1)),
-                    &mut block.float_minima[run],
+                    &mut unpacked.float_minima[run],
                 );
             }
         }

@@ -3,7 +3,7 @@
 use super::super::line::{CacheLine, LANES};
 use super::super::simd::Simd;
 use super::super::stored_format::{IQ4, MXFP4, MXFP4_BIAS};
-use super::{Block, Minima, Q4_0, Quantized, SPAN, SUMMED, correction};
+use super::{Minima, Q4_0, Quantized, SPAN, SUMMED, Scales, correction};
 
 /// A table for byte products, which take 128 more than a number.
 const fn biased(table: &[i8; 16]) -> [u8; 16] {
@@ -43,8 +43,8 @@ impl Quantized for Iq4Nl {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        <Q4_0 as Quantized>::unpack_scales(simd, lines, block);
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
+        <Q4_0 as Quantized>::unpack_scales(simd, lines, unpacked);
     }
 
     #[inline(always)]
@@ -93,13 +93,13 @@ impl Quantized for Iq4Xs {
     }
 
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
         let Some(lines) = lines.first_chunk::<34>() else {
             return;
         };
         let [d, high] = [0, 1].map(|half| lines[Self::NUMBERS].halves(half));
         let d = simd.load_half(&d);
-        for (run, scales) in block.scales.iter_mut().take(8).enumerate() {
+        for (run, scales) in unpacked.runs.iter_mut().take(8).enumerate() {
             let low = lines[Self::NUMBERS + 1].quarter(run / 2);
             let mut factors = [0.0; LANES];
             for ((factor, low), high) in factors.iter_mut().zip(low).zip(high) {
@@ -164,8 +164,8 @@ impl Quantized for Mxfp4 {
     /// Exponents below those of normal numbers become the smallest of them: the weights stay below
     /// 10⁻³⁶.
     #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        for (run, scales) in block.scales.iter_mut().take(8).enumerate() {
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], unpacked: &mut Scales) {
+        for (run, scales) in unpacked.runs.iter_mut().take(8).enumerate() {
             let exponents = Self::line(lines, run, Self::GROUP_LINES - 1).quarter(run % 4);
             let n = simd.to_floats(simd.load_unsigned(&exponents));
             let n = simd.add(n, simd.floats(-MXFP4_BIAS as f32));
