@@ -31,7 +31,13 @@ mod trajectory;
 mod vector;
 mod work;
 
+use mimalloc::MiMalloc;
 use pyo3::prelude::*;
+
+/// As in the program (`src/main.rs`), for what this library allocates: Python keeps its own. Memory
+/// that was free for a second goes back to the system.
+#[global_allocator]
+static ALLOCATOR: MiMalloc = MiMalloc;
 
 /// The native half of `planagent`.
 #[pymodule]
