@@ -53,7 +53,8 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "kernels",
         &[
-            &["activation", "awake", "values", "work"],
+            &["activation", "read_ahead", "values", "work"],
+            &["awake"],
             &["matrix"],
             &[
                 "layer_norm",

@@ -5,18 +5,16 @@
 //! pass before. A wrong guess costs a little of the memory's time and changes no result.
 //! Why: docs/decisions/140-read-ahead.md.
 
-use crate::matrix::{CacheLine, Instructions, Kernel, Simd};
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Bytes of a cache line.
-const LINE: usize = size_of::<CacheLine>();
-/// Maximum lines that a thread reads ahead: a quarter of a second-level cache of 1 MiB.
-const MAX_LINES: usize = (256 << 10) / LINE;
-/// Lines between two looks for work: a fraction of a microsecond.
-const LINES_A_LOOK: usize = 16;
+/// Maximum bytes that a thread reads ahead: a quarter of a second-level cache of 1 MiB.
+const MAX_BYTES: usize = 256 << 10;
+/// Bytes between two looks for work: a fraction of a microsecond.
+const BYTES_A_LOOK: usize = 1 << 10;
 
-/// The place of the matrix that comes next. A thread that sees one half of a change reads lines that
+/// The place of the matrix that comes next. A thread that sees one half of a change reads what
 /// nobody needs.
 static NEXT: [AtomicUsize; 2] = [AtomicUsize::new(0), AtomicUsize::new(0)];
 static ORDER: Mutex<Order> = Mutex::new(Order {
@@ -24,25 +22,32 @@ static ORDER: Mutex<Order> = Mutex::new(Order {
     next: 0,
 });
 
-/// Where the lines of a matrix lie: address and count. Nothing is read there but into a cache, which
-/// ignores an address that no longer exists.
+/// Starts to read the bytes at a range of addresses into a cache. An address that no longer exists is
+/// ignored.
+pub(crate) type Prefetch = fn(Range<usize>);
+/// That of this processor, which the first product names.
+static PREFETCH: OnceLock<Prefetch> = OnceLock::new();
+
+/// Where the weights of a matrix lie: address and bytes.
 type Place = [usize; 2];
+const NOWHERE: Place = [0; 2];
 
 /// A pass begins.
 pub(crate) fn begin() {
     announce(Order::begin);
 }
 
-/// A matrix is about to be multiplied.
-pub(crate) fn multiplied(lines: &[CacheLine]) {
-    let place = [lines.as_ptr().addr(), lines.len()];
+/// A matrix of these weights is about to be multiplied.
+pub(crate) fn multiplied<T>(weights: &[T], prefetch: Prefetch) {
+    PREFETCH.get_or_init(|| prefetch);
+    let place = [weights.as_ptr().addr(), size_of_val(weights)];
     announce(|order| order.note(place));
 }
 
 /// Announces the place that a change of the order says comes next.
 fn announce(change: impl FnOnce(&mut Order) -> Option<Place>) {
     let mut order = ORDER.lock().unwrap_or_else(PoisonError::into_inner);
-    let next = change(&mut order).unwrap_or_default();
+    let next = change(&mut order).unwrap_or(NOWHERE);
     for (place, next) in NEXT.iter().zip(next) {
         place.store(next, Ordering::Relaxed);
     }
@@ -81,7 +86,7 @@ pub(crate) struct Reader {
     number: usize,
     threads: usize,
     place: Place,
-    /// Lines of `place` that are read.
+    /// Bytes of `place` that are read.
     read: usize,
 }
 
@@ -92,50 +97,34 @@ impl Reader {
         Self {
             number: (here + threads - own) % threads,
             threads,
-            place: [0; 2],
+            place: NOWHERE,
             read: 0,
         }
     }
 
-    /// Starts to read some lines; returns false if none are left.
+    /// Starts to read some bytes; returns false if none are left.
     pub(crate) fn read(&mut self) -> bool {
         let place = NEXT.each_ref().map(|number| number.load(Ordering::Relaxed));
-        let Some(first) = self.next_lines(place) else {
+        let (Some(addresses), Some(prefetch)) = (self.next_addresses(place), PREFETCH.get()) else {
             return false;
         };
-        Instructions::best().run(Prefetch(first));
+        prefetch(addresses);
         true
     }
 
-    /// Address of the next [`LINES_A_LOOK`] lines of a place. Threads begin where their shares of a
+    /// Addresses of the next [`BYTES_A_LOOK`] bytes of a place. Threads begin where their shares of a
     /// product do (`matrix/product.rs`).
-    fn next_lines(&mut self, place: Place) -> Option<usize> {
+    fn next_addresses(&mut self, place: Place) -> Option<Range<usize>> {
         if place != self.place {
             (self.place, self.read) = (place, 0);
         }
-        let [address, lines] = place;
-        if self.read >= MAX_LINES.min(lines / self.threads) {
+        let [address, bytes] = place;
+        if self.read >= MAX_BYTES.min(bytes / self.threads) {
             return None;
         }
-        let first = lines * self.number / self.threads + self.read;
-        self.read += LINES_A_LOOK;
-        Some(address + first * LINE)
-    }
-}
-
-/// Reads [`LINES_A_LOOK`] lines from an address on.
-struct Prefetch(usize);
-
-impl Kernel for Prefetch {
-    #[inline(always)]
-    #[allow(
-        clippy::inline_always,
-        reason = "kernels must be inlined into the functions that enable the instructions"
-    )]
-    fn run<S: Simd>(self, simd: S) {
-        for line in 0..LINES_A_LOOK {
-            simd.prefetch(std::ptr::without_provenance(self.0 + line * LINE));
-        }
+        let first = address + bytes * self.number / self.threads + self.read;
+        self.read += BYTES_A_LOOK;
+        Some(first..first + BYTES_A_LOOK)
     }
 }
 
@@ -143,9 +132,9 @@ impl Kernel for Prefetch {
 mod tests {
     use super::*;
 
-    const A: Place = [1 << 20, 100];
-    const B: Place = [2 << 20, 200];
-    const C: Place = [3 << 20, 300];
+    const A: Place = [1 << 20, 100 << 10];
+    const B: Place = [2 << 20, 200 << 10];
+    const C: Place = [3 << 20, 300 << 10];
 
     #[test]
     fn a_pass_like_the_last_one_knows_what_comes_next() {
@@ -171,29 +160,23 @@ mod tests {
 
     #[test]
     fn a_thread_reads_the_beginning_of_its_share() {
-        let reader = |number| Reader {
-            number,
+        let mut second = Reader {
+            number: 1,
             threads: 2,
-            place: [0; 2],
+            place: NOWHERE,
             read: 0,
         };
-        let all = |reader: &mut Reader, place| {
-            std::iter::from_fn(|| reader.next_lines(place)).collect::<Vec<_>>()
+        let mut all = |place| -> Vec<Range<usize>> {
+            std::iter::from_fn(|| second.next_addresses(place)).collect()
         };
-        let mut second = reader(1);
-        let expected: Vec<_> = (50..100).step_by(LINES_A_LOOK).collect();
-        let found = all(&mut second, A);
-        assert_eq!(
-            found,
-            expected
-                .iter()
-                .map(|line| A[0] + line * LINE)
-                .collect::<Vec<_>>()
-        );
-        assert_eq!(second.next_lines(A), None);
-        assert_eq!(second.next_lines(C), Some(C[0] + 150 * LINE));
-        let many = all(&mut second, [0, 1 << 20]);
-        assert_eq!(many.len(), MAX_LINES / LINES_A_LOOK);
-        assert_eq!(reader(1).next_lines([0; 2]), None);
+        let share = (A[0] + (50 << 10)..A[0] + (100 << 10)).step_by(BYTES_A_LOOK);
+        let expected: Vec<_> = share.map(|first| first..first + BYTES_A_LOOK).collect();
+        assert_eq!(all(A), expected);
+        assert!(all(A).is_empty());
+        let found = all(C);
+        assert_eq!(found[0].start, C[0] + (150 << 10));
+        assert_eq!(found.len(), 150);
+        assert_eq!(all([0, 1 << 30]).len(), MAX_BYTES / BYTES_A_LOOK);
+        assert!(all(NOWHERE).is_empty());
     }
 }

@@ -14,6 +14,7 @@ use crate::read_ahead;
 use crate::values::in_parts;
 use rayon::prelude::*;
 use std::marker::PhantomData;
+use std::ops::Range;
 
 /// Maximum bytes of packed activations that one pass over the weights multiplies. Half of it was up
 /// to a fourteenth slower on Zen 5, and twice of it no faster.
@@ -78,7 +79,7 @@ fn multiply_as<F: Format>(
     let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
     let threads = rayon::current_num_threads();
     if Awake::is_one_pass() {
-        read_ahead::multiplied(tiles.lines());
+        read_ahead::multiplied(tiles.lines(), prefetch);
     }
     // The outer loop is over activations that fit the cache: weights are streamed from memory once
     // a chunk.
@@ -128,6 +129,22 @@ fn multiply_as<F: Format>(
             pieces.for_each(|(index, lines)| product(index * piece * COLUMNS, lines));
         } else {
             product(0, tiles.lines());
+        }
+    }
+}
+
+/// Starts to read the cache lines at a range of addresses.
+fn prefetch(addresses: Range<usize>) {
+    Instructions::best().run(Prefetch(addresses));
+}
+
+struct Prefetch(Range<usize>);
+
+impl Kernel for Prefetch {
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        for address in self.0.step_by(size_of::<CacheLine>()) {
+            simd.prefetch(std::ptr::without_provenance(address));
         }
     }
 }
