@@ -28,7 +28,7 @@ pub(super) trait Format {
     const WORDS: usize;
     /// The unpacked weights of a tile in a span.
     type Block: Clone;
-    /// The unpacked scales of a tile in a span, without its numbers.
+    /// Only the scales of a [`Self::Block`].
     type Scales;
 
     /// Words of a row's packed activations in all spans. The last may have fewer than
@@ -60,10 +60,10 @@ pub(super) trait Format {
 
     /// As [`Self::multiply`], straight from the packed lines. A few rows read every weight once, so
     /// unpacked weights would only be copies. The last span of a row may have fewer than
-    /// [`Self::LINES`] lines. The lines from `ahead` on are prefetched.
+    /// [`Self::LINES`] lines.
     fn multiply_packed<S: Simd, const ROWS: usize>(
         simd: S,
-        tiles: PackedSpan<'_>,
+        span: PackedSpan<'_>,
         scales: &mut [Self::Scales; TILES],
         words: &[i32],
         inputs: usize,
