@@ -3,26 +3,41 @@
 use crate::road::{cruise, ego, object, straight};
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
+    Collided, Contest, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene,
+    score_proposals,
 };
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
+use proptest::prelude::*;
 use std::collections::BTreeSet;
 
-/// Scores straight proposals (a horizon of `states` states at constant speed) on an empty straight
-/// road.
+/// Scores straight proposals (a horizon of `states` states at constant speed) on a straight road
+/// that is empty but for `objects`.
 fn straight_scores(
     speeds: &[f64],
     states: usize,
     objects: &[TrackedObject],
     rival: f64,
 ) -> Vec<ProposalScore> {
+    let proposals = straight_proposals(speeds, states);
+    on_straight_road(objects, rival, |scene| {
+        score_proposals(scene, &proposals).unwrap()
+    })
+}
+
+fn straight_proposals(speeds: &[f64], states: usize) -> Vec<Vec<EgoState>> {
+    let straight = |&speed: &f64| cruise(states, 0.0, 0.0, speed);
+    speeds.iter().map(straight).collect()
+}
+
+/// What `judge` makes of a straight road with `objects`.
+fn on_straight_road<T>(
+    objects: &[TrackedObject],
+    rival: f64,
+    judge: impl FnOnce(&ScoringScene<'_>) -> T,
+) -> T {
     let map = straight();
     let route = BTreeSet::from([LaneId(0)]);
-    let proposals: Vec<Vec<EgoState>> = speeds
-        .iter()
-        .map(|&v| cruise(states, 0.0, 0.0, v))
-        .collect();
     let start = ego(0, 0.0, 0.0, 0.0, 5.0);
     let forecast = Forecast::new(
         &map,
@@ -45,7 +60,43 @@ fn straight_scores(
         centerline: &centerline,
         rival_progress: rival,
     };
-    score_proposals(&scene, &proposals).unwrap()
+    judge(&scene)
+}
+
+proptest! {
+    /// A contest judges no more than it must, and chooses as if it had judged all.
+    #[test]
+    fn the_best_of_a_contest_is_the_first_of_the_highest_scores(
+        speeds in prop::collection::vec(prop_oneof![Just(0.0), Just(8.0), 0.0..15.0f64], 1..9),
+        cones in prop::collection::vec((8.0..70.0f64, -2.5..2.5f64), 0..3),
+        rival in prop_oneof![Just(0.0), 0.0..60.0f64],
+        every in 1..4usize,
+    ) {
+        let objects: Vec<TrackedObject> = (1..)
+            .zip(cones)
+            .map(|(id, (x, y))| {
+                let at = Pose::new(x, y, 0.0);
+                object(id, ObjectKind::TrafficCone, at, (0.4, 0.4), 0.0)
+            })
+            .collect();
+        let proposals = straight_proposals(&speeds, 41);
+        let scores = straight_scores(&speeds, 41, &objects, rival);
+        let among = |index: usize| index.is_multiple_of(every);
+        let highest = (0..scores.len())
+            .filter(|&index| among(index))
+            .map(|index| scores[index].total)
+            .fold(0.0, f64::max);
+        let expected = (0..scores.len())
+            .find(|&index| among(index) && scores[index].total >= highest)
+            .map(|index| (index, scores[index]));
+        on_straight_road(&objects, rival, |scene| {
+            let mut contest = Contest::new(scene, &proposals).unwrap();
+            prop_assert_eq!(contest.best(among).unwrap(), expected);
+            prop_assert_eq!(contest.best(|_| false).unwrap(), None);
+            prop_assert_eq!(contest.scores().unwrap(), scores);
+            Ok(())
+        })?;
+    }
 }
 
 #[test]

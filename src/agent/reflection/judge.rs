@@ -8,8 +8,8 @@ use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, OvertakeVerdict, PdmInstant,
-    PdmMemory, ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions, score_overtake,
+    self, Collided, Contest, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, OvertakeVerdict,
+    PdmInstant, PdmMemory, ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions,
     score_proposals, simulate_proposals,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
@@ -350,9 +350,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Scores versions of a plan by their simulated states. One that passes something over the oncoming
-/// lane is on its route there while it keeps the rules. Otherwise it has 0 for the driving
-/// direction.
+/// Scores versions of a plan as [`contest_of_versions`] does.
 pub(super) fn score_versions(
     scene: &SceneView<'_>,
     plan: &IdmPlan,
@@ -360,8 +358,33 @@ pub(super) fn score_versions(
     scoring: &ScoringScene<'_>,
     simulated: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
+    let verdicts = verdicts(scene, plan, versions);
+    contest_of_versions(plan, &verdicts, scoring, simulated)?.scores()
+}
+
+/// Scores versions of a plan by their simulated states. One that passes something over the oncoming
+/// lane is on its route there while it keeps the rules. Otherwise it has 0 for the driving
+/// direction.
+pub(super) fn contest_of_versions<'a>(
+    plan: &IdmPlan,
+    verdicts: &'a [OvertakeVerdict],
+    scoring: &ScoringScene<'a>,
+    simulated: &'a [Vec<EgoState>],
+) -> Result<Contest<'a>, MetricError> {
+    match plan.oncoming() {
+        None => Contest::new(scoring, simulated),
+        Some(oncoming) => Contest::overtaking(scoring, &oncoming.lanes, verdicts, simulated),
+    }
+}
+
+/// What the rules of an overtake say of each version; nothing of a plan that makes none.
+pub(super) fn verdicts(
+    scene: &SceneView<'_>,
+    plan: &IdmPlan,
+    versions: &[Version],
+) -> Vec<OvertakeVerdict> {
     let Some(oncoming) = plan.oncoming() else {
-        return score_proposals(scoring, simulated);
+        return Vec::new();
     };
     let rules = OvertakeRules::new(oncoming, scene);
     let verdict = |&version: &Version| {
@@ -371,8 +394,7 @@ pub(super) fn score_versions(
                 .poses,
         )
     };
-    let verdicts: Vec<OvertakeVerdict> = versions.iter().map(verdict).collect();
-    score_overtake(scoring, &oncoming.lanes, &verdicts, simulated)
+    versions.iter().map(verdict).collect()
 }
 
 fn parts(score: &ProposalScore) -> SubScores {

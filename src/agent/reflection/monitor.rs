@@ -1,11 +1,11 @@
 //! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
 use super::handover::{Handover, better_proposal};
-use super::judge::{ReflectionError, observe, score_versions};
+use super::judge::{ReflectionError, contest_of_versions, observe, verdicts};
 use super::rollout::{IdmPlan, Version};
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,
+    Contest, PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView, Trajectory};
@@ -158,21 +158,21 @@ impl PlanMonitor {
                     simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed),
                 )
             })
-            // All versions are scored in one batch, since progress is relative to the best of them.
+            // All versions are in one contest, since progress is relative to the best of them.
             .unzip();
-        let scores = score_versions(
-            scene,
-            plan,
+        let verdicts = verdicts(scene, plan, &versions);
+        let scoring = instant.scoring(centerline, 0.0);
+        let mut contest = contest_of_versions(plan, &verdicts, &scoring, &batch)?;
+        self.best(
             &versions,
-            &instant.scoring(centerline, 0.0),
-            &batch,
-        )?;
-        let scored: Vec<(Version, ProposalScore)> = versions.into_iter().zip(scores).collect();
-        self.best(&scored, plan.oncoming().is_some(), scene.ego)
-            .ok_or(ReflectionError::Score(MetricError::TooFewSamples {
-                needed: 1,
-                got: 0,
-            }))
+            &mut contest,
+            plan.oncoming().is_some(),
+            scene.ego,
+        )?
+        .ok_or(ReflectionError::Score(MetricError::TooFewSamples {
+            needed: 1,
+            got: 0,
+        }))
     }
 
     /// The version to execute: the best one on the plan's own path where it scores λ, else the best
@@ -181,36 +181,39 @@ impl PlanMonitor {
     /// Why: docs/decisions/101-monitoring.md.
     fn best(
         &self,
-        scored: &[(Version, ProposalScore)],
+        versions: &[Version],
+        contest: &mut Contest<'_>,
         overtakes: bool,
         ego: &EgoState,
-    ) -> Option<Choice> {
+    ) -> Result<Option<Choice>, MetricError> {
         let is_refused = |score: &ProposalScore| overtakes && score.driving_direction <= 0.0;
-        let best = |among: fn(Version) -> bool| {
-            let among = scored.iter().filter(|&&(version, _)| among(version));
-            // Reversed, because `max_by` takes the last of equals and the first should win.
-            among
-                .rev()
-                .max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))
+        let own = contest
+            .best(|index| versions[index].is_on_own_path())?
+            .filter(|(_, score)| score.total >= self.threshold);
+        let moving = match own {
+            Some(own) => Some(own),
+            None => contest.best(|index| versions[index] != Version::STOP)?,
         };
-        let own = best(Version::is_on_own_path).filter(|(_, score)| score.total >= self.threshold);
-        let moving = own.or_else(|| best(|version| version != Version::STOP))?;
-        let stop = scored
-            .iter()
-            .find(|&&(version, _)| version == Version::STOP);
-        let helps = |(_, stop): &&(Version, ProposalScore)| {
-            let matters = is_in_danger(&moving.1) || is_refused(&moving.1);
-            self.emergency_brake && matters && stop.total > moving.1.total
+        let Some(mut chosen) = moving else {
+            return Ok(None);
         };
-        let &(version, score) = stop.filter(helps).unwrap_or(moving);
+        let matters = is_in_danger(&chosen.1) || is_refused(&chosen.1);
+        if self.emergency_brake
+            && matters
+            && let Some(stop) = contest.best(|index| versions[index] == Version::STOP)?
+            && stop.1.total > chosen.1.total
+        {
+            chosen = stop;
+        }
+        let (index, score) = chosen;
         let emergency_brake =
             self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
-        Some(Choice {
-            version,
+        Ok(Some(Choice {
+            version: versions[index],
             score: score.total,
             emergency_brake,
             is_refused: is_refused(&score),
-        })
+        }))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The road of a roll-out: what the plan follows, and where it stops.
 
-use super::rollout::{IdmPlan, LeadPolicy, MIN_GAP};
+use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP};
 use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
 use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector};
@@ -23,13 +23,21 @@ impl LeadOnPath {
     }
 }
 
-/// The candidates for the lead object along one path during one roll-out.
+/// An object on the path.
+#[derive(Debug, Clone, Copy)]
+struct OnPath {
+    /// Arc length of its center.
+    center_s: f64,
+    lead: LeadOnPath,
+}
+
+/// What the roll-outs along one path may follow, whatever their speed.
 pub(super) struct Road<'a> {
     pub(super) path: &'a Polyline,
-    corridor: Corridor,
-    /// Objects that may come onto the corridor within the horizon.
-    objects: Vec<TrackedObject>,
-    named: Option<TrackedObject>,
+    /// Arc length of the ego's rear axle now.
+    pub(super) start: f64,
+    /// The objects on the path at each search for the lead object, [`LEAD_REFRESH`] steps apart.
+    objects: Vec<Vec<OnPath>>,
     /// Arc length at which the front bumper stops, for a red light or the end of the path.
     stop_s: f64,
 }
@@ -53,7 +61,8 @@ impl<'a> Road<'a> {
         };
         // Beside what stands there is nothing to follow: whether the ego touches it, the score
         // says. Nor is there behind what stands in the lane where the path leads past it.
-        let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+        let start = path.project(scene.ego.rear_axle.position()).s;
+        let front = start + PACIFICA.front_length;
         let is_beside = |object: &TrackedObject| {
             let rear_s = object
                 .shape
@@ -92,61 +101,69 @@ impl<'a> Road<'a> {
                 stops.fold(path.length(), f64::min)
             }
         };
+        let on_path = |search: usize| {
+            let seconds = (search * LEAD_REFRESH) as f64 * STEP_S;
+            let objects = objects.iter().filter_map(|object| {
+                let shape = moved(object, seconds);
+                let meets = corridor.meets_box(&shape);
+                meets.then(|| (object, shape))
+            });
+            let named = named.iter().map(|object| (object, moved(object, seconds)));
+            objects
+                .chain(named)
+                .filter_map(|(object, shape)| place(path, object, &shape, start))
+                .collect()
+        };
         Self {
             path,
-            corridor,
-            objects,
-            named,
+            start,
+            objects: (0..steps.div_ceil(LEAD_REFRESH)).map(on_path).collect(),
             stop_s,
         }
     }
 
-    /// The lead object after `seconds`, for an ego at arc length `progress`.
-    pub(super) fn lead(&self, progress: f64, seconds: f64) -> Option<LeadOnPath> {
+    /// The lead object at a step of a roll-out, for an ego at arc length `progress`. What has its
+    /// center behind the ego's rear axle is none.
+    pub(super) fn lead(&self, progress: f64, step: usize) -> Option<LeadOnPath> {
         let front = progress + PACIFICA.front_length;
-        let on_path = self.objects.iter().filter_map(|object| {
-            let shape = moved(object, seconds);
-            if !self.corridor.meets_box(&shape) {
-                return None;
-            }
-            self.place(object, &shape, progress)
-        });
-        let named = self
-            .named
-            .iter()
-            .filter_map(|object| self.place(object, &moved(object, seconds), progress));
+        let on_path = self.objects.get(step / LEAD_REFRESH).into_iter().flatten();
+        let ahead = on_path
+            .filter(|object| object.center_s > progress)
+            .map(|object| object.lead);
         let stop = (self.stop_s > front - MIN_GAP).then_some(LeadOnPath {
             rear_s: self.stop_s,
             speed: 0.0,
         });
-        on_path
-            .chain(named)
+        ahead
             .chain(stop)
             .min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
     }
+}
 
-    /// The object's place on the path; `None` when its center lies behind the ego's rear axle.
-    fn place(
-        &self,
-        object: &TrackedObject,
-        shape: &OrientedBox,
-        progress: f64,
-    ) -> Option<LeadOnPath> {
-        let foot = self.path.project(shape.center.position());
-        if foot.s <= progress {
-            return None;
-        }
-        let rear_s = shape
-            .corners()
-            .iter()
-            .map(|&corner| self.path.project(corner).s)
-            .fold(f64::INFINITY, f64::min);
-        let along = Vector::new(foot.heading.cos(), foot.heading.sin());
-        Some(LeadOnPath {
+/// The object's place on the path; `None` when its center lies behind arc length `start`.
+fn place(
+    path: &Polyline,
+    object: &TrackedObject,
+    shape: &OrientedBox,
+    start: f64,
+) -> Option<OnPath> {
+    let foot = path.project(shape.center.position());
+    if foot.s <= start {
+        return None;
+    }
+    let rear_s = shape
+        .corners()
+        .iter()
+        .map(|&corner| path.project(corner).s)
+        .fold(f64::INFINITY, f64::min);
+    let along = Vector::new(foot.heading.cos(), foot.heading.sin());
+    Some(OnPath {
+        center_s: foot.s,
+        lead: LeadOnPath {
             rear_s,
             speed: object.velocity.dot(&along).max(0.0),
-        })
-    }
+        },
+    })
 }
 
 /// The box of an object that keeps its velocity.

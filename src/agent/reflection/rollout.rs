@@ -26,7 +26,7 @@ const HEADWAY: f64 = 1.5;
 /// A desired speed below this means: stand still, m/s.
 const STANDSTILL: f64 = 0.05;
 /// Steps between two searches for the lead object, as in PDM-Closed.
-const LEAD_REFRESH: usize = 2;
+pub(super) const LEAD_REFRESH: usize = 2;
 /// Deceleration of the stop, m/s²: the highest that a code may contain.
 const STOP_DECEL: f64 = DECELERATIONS[DECELERATIONS.len() - 1];
 /// Length of path beyond the end of the fastest roll-out, meters.
@@ -325,18 +325,17 @@ impl IdmPlan {
         scene: &SceneView<'_>,
         steps: usize,
     ) -> Vec<(Version, Rollout)> {
-        let mut rollouts = Vec::new();
-        for (path, line) in self.paths.iter().enumerate() {
-            let road = Road::new(self, line, scene, steps);
-            for version in Version::along(path, self.ride_here()) {
-                rollouts.push((version, self.roll_out_along(&road, version, scene, steps)));
-            }
-        }
-        rollouts.push((
-            Version::STOP,
-            self.roll_out_version(Version::STOP, scene, steps),
-        ));
-        rollouts
+        let roads = self
+            .paths
+            .each_ref()
+            .map(|path| Road::new(self, path, scene, steps));
+        let along = |path| Version::along(path, self.ride_here());
+        let versions = (0..roads.len()).flat_map(along).chain([Version::STOP]);
+        let roll_out = |version: Version| {
+            let road = roads.get(version.path)?;
+            Some((version, self.roll_out_along(road, version, scene, steps)))
+        };
+        versions.filter_map(roll_out).collect()
     }
 
     /// The roll-out of one version.
@@ -380,7 +379,7 @@ impl IdmPlan {
             exponent: EXPONENT,
         };
         let path = road.path;
-        let mut progress = path.project(scene.ego.rear_axle.position()).s;
+        let mut progress = road.start;
         let mut speed = scene.ego.velocity.x.max(0.0);
         let mut lead = None;
         let is_smooth = self.ride_here() == Ride::Comfortable && !version.is_brisk;
@@ -391,7 +390,7 @@ impl IdmPlan {
         };
         for step in 0..steps {
             if step % LEAD_REFRESH == 0 {
-                lead = road.lead(progress, step as f64 * STEP_S);
+                lead = road.lead(progress, step);
             }
             let behind = lead.map(|lead: LeadOnPath| lead.behind(progress));
             let accel = if target_velocity < STANDSTILL {

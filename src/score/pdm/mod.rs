@@ -16,6 +16,7 @@ mod centerline;
 mod closed;
 mod collision;
 mod comfort;
+mod contest;
 mod current_lane;
 mod emergency_brake;
 mod encounters;
@@ -38,6 +39,7 @@ pub use closed::{
 };
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
 pub(crate) use comfort::is_comfortable;
+pub use contest::Contest;
 pub use current_lane::{StartingBlock, current_lane, starting_block};
 pub use emergency_brake::{
     EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake,

@@ -1,12 +1,9 @@
 //! The score of proposals (`tuplan_garage` `pdm_scorer.py`).
 
-use super::areas::NearAreas;
-use super::collision::{SimulatedProposal, approach, collide};
-use super::encounters::Encounters;
-use super::{DrivableMap, EgoAreas, Forecast, Placed, is_comfortable};
-use crate::metrics::{MetricError, direction_score};
-use planagent_world::geometry::{Bounds, Polyline};
-use planagent_world::{EgoState, LaneId, STEP_S};
+use super::{Contest, DrivableMap, Forecast};
+use crate::metrics::MetricError;
+use planagent_world::geometry::Polyline;
+use planagent_world::{EgoState, LaneId};
 use serde::{Deserialize, Serialize};
 
 /// Weight of progress.
@@ -15,9 +12,6 @@ pub const WEIGHT_PROGRESS: f64 = 5.0;
 pub const WEIGHT_TTC: f64 = 5.0;
 /// Weight of comfort.
 pub const WEIGHT_COMFORT: f64 = 2.0;
-/// Below this best progress, standing still is as good as any, meters.
-const PROGRESS_THRESHOLD: f64 = 0.1;
-
 /// The input of the score beside the proposals.
 #[derive(Clone, Copy)]
 pub struct ScoringScene<'a> {
@@ -59,6 +53,22 @@ pub struct ProposalScore {
 }
 
 impl ProposalScore {
+    /// The terms of a proposal that loses nothing, without its `total` and relative `progress`.
+    pub(super) fn flawless(progress_m: f64) -> Self {
+        Self {
+            total: 0.0,
+            no_at_fault_collisions: 1.0,
+            drivable_area: 1.0,
+            driving_direction: 1.0,
+            progress: 0.0,
+            time_to_collision: 1.0,
+            comfort: 1.0,
+            progress_m,
+            first_at_fault_s: None,
+            first_ttc_s: None,
+        }
+    }
+
     /// Product of the three multipliers.
     pub fn multiplier(&self) -> f64 {
         self.no_at_fault_collisions * self.drivable_area * self.driving_direction
@@ -88,7 +98,7 @@ pub fn score_proposals(
     scene: &ScoringScene<'_>,
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    Ok(compared(judge_all(scene, proposals)?, scene.rival_progress))
+    Contest::new(scene, proposals)?.scores()
 }
 
 /// Whether a proposal may use lanes against traffic.
@@ -113,131 +123,5 @@ pub fn score_overtake(
     verdicts: &[OvertakeVerdict],
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    let drivable = scene.drivable.allowing(against_traffic);
-    let allowed = judge_all(
-        &ScoringScene {
-            drivable: &drivable,
-            ..*scene
-        },
-        proposals,
-    )?;
-    let scores = judge_all(scene, proposals)?
-        .into_iter()
-        .zip(allowed)
-        .zip(verdicts);
-    let of_verdict = scores.map(|((usual, allowed), verdict)| match verdict {
-        OvertakeVerdict::Stays => usual,
-        OvertakeVerdict::Allowed => allowed,
-        OvertakeVerdict::Refused => ProposalScore {
-            driving_direction: 0.0,
-            ..usual
-        },
-    });
-    Ok(compared(of_verdict.collect(), scene.rival_progress))
-}
-
-/// All terms of each proposal but its relative progress, which needs the whole batch.
-fn judge_all(
-    scene: &ScoringScene<'_>,
-    proposals: &[Vec<EgoState>],
-) -> Result<Vec<ProposalScore>, MetricError> {
-    let batch: Vec<Vec<Placed>> = proposals
-        .iter()
-        .map(|states| states.iter().map(Placed::from_state).collect())
-        .collect();
-    let reach = batch
-        .iter()
-        .flatten()
-        .fold(Bounds::around(&[]), |reach, placed| {
-            reach.joined(placed.bounds())
-        });
-    let around = Around {
-        areas: scene.drivable.near(&reach),
-        encounters: Encounters::from_forecast(scene.forecast, &batch),
-    };
-    proposals
-        .iter()
-        .zip(&batch)
-        .map(|(states, placed)| judge(scene, &around, states, placed))
-        .collect()
-}
-
-/// The scores with their progress relative to the best of them, or to rivals.
-fn compared(mut scores: Vec<ProposalScore>, rival_progress: f64) -> Vec<ProposalScore> {
-    let best = scores
-        .iter()
-        .map(|s| s.progress_m * s.multiplier())
-        .chain([rival_progress])
-        .fold(0.0, f64::max);
-    for score in &mut scores {
-        *score = score.with_progress(if best > PROGRESS_THRESHOLD {
-            score.progress_m * score.multiplier() / best
-        } else {
-            f64::from(u8::from(score.multiplier() > 0.0))
-        });
-    }
-    scores
-}
-
-/// The objects that a batch of proposals may touch.
-struct Around<'a> {
-    areas: NearAreas<'a>,
-    encounters: Encounters<'a>,
-}
-
-/// All terms of a proposal but its relative progress.
-fn judge(
-    scene: &ScoringScene<'_>,
-    around: &Around<'_>,
-    states: &[EgoState],
-    placed: &[Placed],
-) -> Result<ProposalScore, MetricError> {
-    let areas: Vec<EgoAreas> = placed
-        .iter()
-        .map(|placed| around.areas.areas_of(placed))
-        .collect();
-    let proposal = SimulatedProposal {
-        states,
-        placed,
-        areas: &areas,
-    };
-    let collisions = collide(proposal, &around.encounters);
-    let ttc = approach(scene.drivable.map(), proposal, &around.encounters);
-    let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
-    // Progress counts relative to the best proposal, which the caller knows. It sets `total` and
-    // `progress`.
-    Ok(ProposalScore {
-        total: 0.0,
-        no_at_fault_collisions: collisions.score,
-        drivable_area: f64::from(u8::from(!areas.iter().any(|a| a.non_drivable))),
-        driving_direction: direction_score(longest_oncoming(placed, &areas)),
-        progress: 0.0,
-        time_to_collision: ttc.score,
-        comfort: f64::from(u8::from(is_comfortable(states)?)),
-        progress_m: progress(scene.centerline, states),
-        first_at_fault_s: seconds(collisions.state),
-        first_ttc_s: seconds(ttc.state),
-    })
-}
-
-/// The longest distance of the center in one segment off the route, meters.
-fn longest_oncoming(placed: &[Placed], areas: &[EgoAreas]) -> f64 {
-    let (mut longest, mut stretch) = (0.0f64, 0.0);
-    for (pair, areas) in placed.windows(2).zip(areas.iter().skip(1)) {
-        stretch = if areas.oncoming {
-            stretch + pair[0].shape.center.distance(&pair[1].shape.center)
-        } else {
-            0.0
-        };
-        longest = longest.max(stretch);
-    }
-    longest
-}
-
-fn progress(centerline: &Polyline, states: &[EgoState]) -> f64 {
-    let along = |ego: &EgoState| centerline.project(ego.center().position()).s;
-    match states {
-        [first, .., last] => (along(last) - along(first)).max(0.0),
-        _ => 0.0,
-    }
+    Contest::overtaking(scene, against_traffic, verdicts, proposals)?.scores()
 }
