@@ -197,6 +197,7 @@ impl PlanMonitor {
         let Some(mut chosen) = moving else {
             return Ok(None);
         };
+        // The stop is judged last, since it rarely matters.
         let matters = is_in_danger(&chosen.1) || is_refused(&chosen.1);
         if self.emergency_brake
             && matters

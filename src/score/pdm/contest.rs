@@ -68,6 +68,7 @@ impl<'a> Contest<'a> {
             .iter()
             .map(|states| states.iter().map(Placed::from_state).collect())
             .collect();
+        // What lies beyond their common reach, no proposal meets.
         let reach = placed
             .iter()
             .flatten()
