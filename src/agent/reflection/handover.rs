@@ -1,14 +1,18 @@
 //! PDM-Closed's proposals beside the versions of a plan, judged by the same score.
 
-use super::judge::{ReflectionError, contest_of_versions, observe_along, verdicts};
+use super::judge::{ReflectionError, observe_along, score_versions};
 use super::rollout::{IdmPlan, Rollout, Version};
-use planagent_score::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, simulate_proposals};
+use planagent_score::pdm::{
+    PdmMemory, ProposalScore, TRAJECTORY_STEPS, score_proposals, simulate_proposals,
+};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
-use planagent_world::{EgoState, STEP_S, SceneView};
+use planagent_world::{STEP_S, SceneView};
 
 /// What a proposal must score more than the plan.
 /// Why: docs/decisions/129-judged-handover.md.
 const MIN_GAIN: f64 = 0.05;
+/// Below this progress of the best, standing still is as good as any, meters (PDM's scorer).
+const STANDS: f64 = 0.1;
 
 /// A proposal of PDM-Closed that scores more than a version of a plan.
 pub(super) struct Handover {
@@ -40,20 +44,35 @@ pub(super) fn better_proposal(
     let instant = observe_along(reference_path, scene, collided);
     let scoring = instant.scoring(reference_path.centerline().line(), 0.0);
     let rollout = plan.roll_out_version(version, scene, steps);
+    let own = [simulate_proposal(
+        scene.ego,
+        &rollout.poses,
+        JerkPenalty::PdmClosed,
+    )];
+    let own = score_versions(scene, plan, &[version], &scoring, &own)?;
     let mut proposals = instant.proposals(reference_path, scene.ego, steps);
-    let own = simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed);
-    let simulated: Vec<Vec<EgoState>> = std::iter::once(own)
-        .chain(simulate_proposals(scene.ego, proposals.all()))
-        .collect();
-    // The version is the first; PDM-Closed's proposals have no verdict, since they overtake nothing.
-    let verdicts = verdicts(scene, plan, &[version]);
-    let mut contest = contest_of_versions(plan, &verdicts, &scoring, &simulated)?;
-    let needed = contest.score(0)?.total + MIN_GAIN;
-    let best = contest.best(|place| place > 0)?;
-    let Some((place, score)) = best.filter(|(_, score)| score.total > needed) else {
+    let scores = score_proposals(&scoring, &simulate_proposals(scene.ego, proposals.all()))?;
+    let progress = |score: &ProposalScore| score.progress_m * score.multiplier();
+    let most = own.iter().chain(&scores).map(progress).fold(0.0, f64::max);
+    let relative = |score: &ProposalScore| {
+        score.with_progress(if most > STANDS {
+            progress(score) / most
+        } else {
+            f64::from(u8::from(score.multiplier() > 0.0))
+        })
+    };
+    let needed = own
+        .iter()
+        .map(|own| relative(own).total)
+        .fold(0.0, f64::max)
+        + MIN_GAIN;
+    // Reversed, because `max_by` takes the last of equals and the first should win.
+    let scores = scores.iter().map(relative).enumerate().rev();
+    let best = scores.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total));
+    let Some((index, score)) = best.filter(|(_, score)| score.total > needed) else {
         return Ok(None);
     };
-    let poses = proposals.continued(place - 1, TRAJECTORY_STEPS).to_vec();
+    let poses = proposals.continued(index, TRAJECTORY_STEPS).to_vec();
     let speeds = std::iter::once(scene.ego.velocity.x.max(0.0))
         .chain(poses.windows(2).map(|w| w[0].distance(&w[1]) / STEP_S))
         .collect();

@@ -23,7 +23,7 @@ use planagent_runs::runner::model::OpenModel;
 use planagent_runs::runner::{Config, Listener, RESULT_VERSION, RunnerError};
 use planagent_runs::worker::statistics::Bootstrap;
 use planagent_scenario::modified::TwinKind;
-use std::path::{Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
 /// Scenes of a suite, and pairs of text twins, of a card that names no number. With nano, two idle
 /// cores make it in less than half an hour.
@@ -234,12 +234,42 @@ fn command(request: &CardRequest, config: &Config) -> Result<String, RunnerError
             .map_or_else(|| value.to_string(), str::to_owned);
         words.push(format!("--set {}", quoted(&format!("{key}={value}"))));
     }
-    Ok(words.join(" "))
+    Ok(from_here(words.join(" ")))
+}
+
+/// A command as a user in the working directory writes it. Settings have absolute paths, and a card
+/// is to be shown.
+fn from_here(command: String) -> String {
+    match std::env::current_dir() {
+        Ok(here) => command.replace(&format!("{}{MAIN_SEPARATOR}", here.display()), ""),
+        Err(_) => command,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_command_has_paths_from_the_working_directory() {
+        let mut config = Config::default();
+        let model = std::env::current_dir().unwrap().join("models");
+        config.mllm.model = model.join("own").display().to_string();
+        let request = CardRequest {
+            out: PathBuf::from("card"),
+            limit: 3,
+            latency_of: None,
+            retry_failed: false,
+        };
+        let expected = Path::new("models").join("own");
+        assert_eq!(
+            command(&request, &config).unwrap(),
+            format!("planagent card --model {} --limit 3", expected.display())
+        );
+        config.mllm.model = "nano".to_owned();
+        let of_name = command(&request, &config).unwrap();
+        assert_eq!(of_name, "planagent card --model nano --limit 3");
+    }
 
     #[test]
     fn twins_are_taken_evenly_from_the_kinds() {

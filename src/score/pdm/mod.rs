@@ -55,8 +55,9 @@ pub use reference_path::{NoReferencePath, ReferencePath};
 pub use route::corrected_route;
 pub use scorer::{
     OvertakeVerdict, ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC,
-    score_overtake, score_proposals,
+    score_proposals,
 };
 pub use search::{SearchDirection, roadblock_chain};
 
 use placed::Placed;
+use scorer::score_overtake;

@@ -117,7 +117,7 @@ pub enum OvertakeVerdict {
 ///
 /// # Errors
 /// As [`score_proposals`].
-pub fn score_overtake(
+pub(super) fn score_overtake(
     scene: &ScoringScene<'_>,
     against_traffic: &[LaneId],
     verdicts: &[OvertakeVerdict],
