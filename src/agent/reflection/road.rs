@@ -103,12 +103,10 @@ impl<'a> Road<'a> {
         };
         let on_path = |search: usize| {
             let seconds = (search * LEAD_REFRESH) as f64 * STEP_S;
-            let objects = objects.iter().filter_map(|object| {
-                let shape = moved(object, seconds);
-                let meets = corridor.meets_box(&shape);
-                meets.then(|| (object, shape))
-            });
-            let named = named.iter().map(|object| (object, moved(object, seconds)));
+            let moved = |object| (object, moved(object, seconds));
+            let objects = objects.iter().map(moved);
+            let objects = objects.filter(|(_, shape)| corridor.meets_box(shape));
+            let named = named.iter().map(moved);
             objects
                 .chain(named)
                 .filter_map(|(object, shape)| place(path, object, &shape, start))
