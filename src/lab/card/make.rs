@@ -222,7 +222,7 @@ fn no_probabilities(subject: &Subject, config: &Config) -> &'static str {
 fn command(request: &CardRequest, config: &Config) -> Result<String, RunnerError> {
     let mut words = vec![
         "planagent card".to_owned(),
-        format!("--model {}", quoted(&config.mllm.model)),
+        format!("--model {}", quoted(&from_here(&config.mllm.model))),
         format!("--limit {}", request.limit),
     ];
     for (key, value) in config.changes()? {
@@ -232,17 +232,20 @@ fn command(request: &CardRequest, config: &Config) -> Result<String, RunnerError
         let value = value
             .as_str()
             .map_or_else(|| value.to_string(), str::to_owned);
-        words.push(format!("--set {}", quoted(&format!("{key}={value}"))));
+        words.push(format!(
+            "--set {}",
+            quoted(&format!("{key}={}", from_here(&value)))
+        ));
     }
-    Ok(from_here(words.join(" ")))
+    Ok(words.join(" "))
 }
 
-/// A command as a user in the working directory writes it. Settings have absolute paths, and a card
+/// A setting as a user in the working directory writes it. Settings have absolute paths, and a card
 /// is to be shown.
-fn from_here(command: String) -> String {
+fn from_here(setting: &str) -> String {
     match std::env::current_dir() {
-        Ok(here) => command.replace(&format!("{}{MAIN_SEPARATOR}", here.display()), ""),
-        Err(_) => command,
+        Ok(here) => setting.replace(&format!("{}{MAIN_SEPARATOR}", here.display()), ""),
+        Err(_) => setting.to_owned(),
     }
 }
 
