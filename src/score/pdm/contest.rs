@@ -46,7 +46,7 @@ impl<'a> Contest<'a> {
     }
 
     /// The same where lanes against traffic count as the route's for each proposal that is allowed
-    /// to use them.
+    /// to use them; the n-th verdict belongs to the n-th proposal.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -68,7 +68,7 @@ impl<'a> Contest<'a> {
             .iter()
             .map(|states| states.iter().map(Placed::from_state).collect())
             .collect();
-        // What lies beyond their common reach, no proposal meets.
+        // Polygons beyond this decide nothing, and preparing them takes time.
         let reach = placed
             .iter()
             .flatten()
@@ -112,22 +112,16 @@ impl<'a> Contest<'a> {
         Ok(())
     }
 
-    /// The score of a proposal.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn score(&mut self, index: usize) -> Result<ProposalScore, MetricError> {
-        let terms = self.judge(index)?;
-        Ok(self.compared(terms))
-    }
-
     /// The scores of all proposals, in their order.
     ///
     /// # Errors
     /// As [`Self::new`].
     pub fn scores(mut self) -> Result<Vec<ProposalScore>, MetricError> {
         (0..self.proposals.len())
-            .map(|index| self.score(index))
+            .map(|index| {
+                let terms = self.judge(index)?;
+                Ok(self.compared(terms))
+            })
             .collect()
     }
 
@@ -176,20 +170,18 @@ impl<'a> Contest<'a> {
         if let Some(terms) = self.judged[index] {
             return Ok(terms);
         }
-        let verdict = |(allowing, verdicts): &(NearAreas<'a>, &[OvertakeVerdict])| {
-            Ok::<_, MetricError>(match verdicts.get(index) {
-                Some(OvertakeVerdict::Allowed) => self.terms(index, allowing)?,
-                Some(OvertakeVerdict::Refused) => ProposalScore {
-                    driving_direction: 0.0,
-                    ..self.terms(index, &self.areas)?
-                },
-                Some(OvertakeVerdict::Stays) | None => self.terms(index, &self.areas)?,
-            })
+        let (areas, is_refused) = match &self.overtake {
+            None => (&self.areas, false),
+            Some((allowing, verdicts)) => match verdicts[index] {
+                OvertakeVerdict::Stays => (&self.areas, false),
+                OvertakeVerdict::Allowed => (allowing, false),
+                OvertakeVerdict::Refused => (&self.areas, true),
+            },
         };
-        let terms = match &self.overtake {
-            Some(overtake) => verdict(overtake)?,
-            None => self.terms(index, &self.areas)?,
-        };
+        let mut terms = self.terms(index, areas)?;
+        if is_refused {
+            terms.driving_direction = 0.0;
+        }
         self.judged[index] = Some(terms);
         Ok(terms)
     }
