@@ -2,7 +2,7 @@
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
 use super::float::{Float, Half, Single};
-use super::format::{COLUMNS, Format, MAX_BATCH, PackedSpan, TILES, TileSums};
+use super::format::{COLUMNS, Format, MAX_BATCH, PackedSpan, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
 use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
@@ -32,9 +32,6 @@ const MAX_PACKED_ROWS: usize = 24;
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 /// The same where a thread is awake: a few µs.
 const MIN_AWAKE_PRODUCTS: usize = 1 << 17;
-
-/// Cache lines between the one that is unpacked and the one that is prefetched.
-const PREFETCH_LINES: usize = 64;
 
 /// Bytes of weights between those that a single row is multiplied with and those that are
 /// prefetched. Half and twice of it were slower on Zen 5.
@@ -166,13 +163,19 @@ impl<F: Format> Kernel for Pack<'_, F> {
         // Span by span, since the words of all rows alternate within one.
         let spans = self.words.chunks_mut(count * F::WORDS).enumerate();
         for (span, words) in spans {
-            for (values, packed) in self
-                .rows
-                .chunks_exact(self.inputs)
-                .zip(packed.chunks_exact_mut(F::WORDS))
-            {
-                let values = &values[span * F::SPAN..];
-                if let Some(values) = values.get(..F::SPAN) {
+            for (row, packed) in packed.chunks_exact_mut(F::WORDS).enumerate() {
+                let values = &self.rows[row * self.inputs + span * F::SPAN..];
+                // The piece that is packed next lies elsewhere.
+                let next = if row + 1 < count {
+                    values.as_ptr().wrapping_add(self.inputs)
+                } else {
+                    self.rows.as_ptr().wrapping_add((span + 1) * F::SPAN)
+                };
+                for line in (0..F::SPAN).step_by(LANES) {
+                    simd.prefetch(next.wrapping_add(line).cast());
+                }
+                let values = &values[..F::SPAN.min(self.inputs - span * F::SPAN)];
+                if values.len() == F::SPAN {
                     F::pack(simd, values, packed);
                 } else {
                     padded[..values.len()].copy_from_slice(values);
@@ -235,9 +238,6 @@ impl<F: Format> Product<'_, F> {
     ) {
         for (tile, block) in pair.chunks_exact(self.tile_lines).zip(blocks) {
             let end = self.tile_lines.min((span + 1) * F::LINES);
-            for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {
-                simd.prefetch(std::ptr::from_ref(line));
-            }
             F::unpack(simd, &tile[span * F::LINES..end], block);
         }
     }
@@ -318,9 +318,19 @@ impl<F: Format> Product<'_, F> {
                 for (span, blocks) in group.clone().zip(&mut *blocks) {
                     self.unpack(simd, pair, span, blocks);
                 }
+                // What is unpacked next: the rest of this pair, or the next one's begin.
+                let next = if group.end < spans {
+                    group.end * F::LINES
+                } else {
+                    TILES * self.tile_lines
+                };
+                let ahead = pair.as_ptr().wrapping_add(next);
+                let ahead = [ahead, ahead.wrapping_add(self.tile_lines)];
                 let batches = self.words.chunks(MAX_BATCH * self.row_words);
+                let count = batches.len();
                 let batches = batches.zip(sums.chunks_mut(MAX_BATCH));
                 for (batch, (words, sums)) in batches.enumerate() {
+                    prefetch_part(simd, ahead, step * F::LINES, batch, count);
                     // Sums and activations of a batch stay in the first-level cache.
                     for (span, blocks) in group.clone().zip(&*blocks) {
                         let start = span * sums.len() * F::WORDS;
