@@ -22,6 +22,7 @@ mod weight_format;
 use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::Arc;
@@ -58,7 +59,8 @@ impl Matrix {
         outputs > 0 && inputs > 0 && weight_format.matrix_bytes(outputs, inputs).is_some()
     }
 
-    /// Quantizes row-major values with ggml's reference quantizers.
+    /// Quantizes row-major values with ggml's reference quantizers. Zeros fill the last block of a
+    /// row.
     pub fn quantize(
         values: &[f32],
         outputs: usize,
@@ -75,6 +77,7 @@ impl Matrix {
         let StoredFormat::Ggml(format) = weight_format.stored() else {
             bail!("{weight_format} is read from files, and no number is rounded to it");
         };
+        let values = in_whole_blocks(values, inputs, weight_format.block());
         let mut blocks =
             vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
         let pieces = blocks
@@ -335,6 +338,19 @@ impl Matrix {
         }
         results.finish()
     }
+}
+
+/// The rows with zeros behind them, as far as these fill blocks.
+fn in_whole_blocks(values: &[f32], inputs: usize, block: usize) -> Cow<'_, [f32]> {
+    let whole = inputs.next_multiple_of(block);
+    if whole == inputs {
+        return values.into();
+    }
+    let mut filled = vec![0.0; values.len() / inputs * whole];
+    for (filled, row) in filled.chunks_mut(whole).zip(values.chunks(inputs)) {
+        filled[..inputs].copy_from_slice(row);
+    }
+    filled.into()
 }
 
 fn check_shape(weight_format: WeightFormat, outputs: usize, inputs: usize) -> Result<()> {

@@ -314,8 +314,8 @@ impl PackedTiles {
 
     /// The original blocks of a row.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
-        let mut bytes =
-            vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
+        let blocks = self.inputs.div_ceil(self.weight_format.block());
+        let mut bytes = vec![0; blocks * self.weight_format.block_bytes()];
         let tile = self
             .lines
             .chunks_exact(self.tile_lines())
@@ -331,7 +331,10 @@ impl PackedTiles {
     }
 
     pub(super) fn read_row(&self, index: usize, row: &mut [f32]) -> candle_core::Result<()> {
-        row.copy_from_slice(&self.weight_format.stored().widen(self.row_blocks(index))?);
+        let mut numbers = self.weight_format.stored().widen(self.row_blocks(index))?;
+        // Zeros may fill the last block.
+        numbers.truncate(self.inputs);
+        row.copy_from_slice(&numbers);
         Ok(())
     }
 

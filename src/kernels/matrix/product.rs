@@ -303,7 +303,8 @@ impl<F: Format> Product<'_, F> {
         unsafe { self.out.write(simd, row, column, &mut sums) };
     }
 
-    /// Multiplies several batches, which share unpacked weights.
+    /// Multiplies several batches, which share unpacked weights. Beside the products it prefetches what
+    /// is unpacked next. Why: docs/decisions/142-weights-of-the-next-group.md.
     #[inline(always)]
     fn run_unpacked<S: Simd>(&self, simd: S, rows: usize) {
         let spans = self.inputs.div_ceil(F::SPAN);

@@ -288,6 +288,59 @@ fn nan_and_infinity_appear_in_the_result() {
     }
 }
 
+/// Rows that end within a block are those with zeros behind them, bit for bit, with few rows of
+/// activations and many, in one term and in two.
+#[test]
+fn zeros_fill_the_last_block_of_a_row() {
+    let mut random = Pcg64Mcg::seed_from_u64(11);
+    let outputs = 35;
+    for (inputs, weight_format) in [
+        (528_usize, WeightFormat::Q8_0),
+        (787, WeightFormat::Q5_0),
+        (515, WeightFormat::Q4_1),
+    ] {
+        let whole = inputs.next_multiple_of(32);
+        let filled = |rows: &[f32]| -> Vec<f32> {
+            let rows = rows.chunks(inputs);
+            rows.flat_map(|row| [row, &vec![0.0; whole - inputs]].concat())
+                .collect()
+        };
+        let values = random_rows(outputs, inputs, &mut random);
+        let matrix = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap();
+        let expected = Matrix::quantize(&filled(&values), outputs, whole, weight_format).unwrap();
+        let ids = [0, 17, 34];
+        assert_eq!(
+            matrix.rows(&ids).unwrap().to_vec2::<f32>().unwrap(),
+            expected
+                .rows(&ids)
+                .unwrap()
+                .narrow(1, 0, inputs)
+                .unwrap()
+                .to_vec2::<f32>()
+                .unwrap()
+        );
+        for rows in [1, 7, 40] {
+            let x = random_rows(rows, inputs, &mut random);
+            for two_terms in [false, true] {
+                let product = |matrix: &Matrix, x: Vec<f32>| {
+                    let x = Tensor::from_vec(x, (rows, matrix.inputs()), &Device::Cpu).unwrap();
+                    let matrix = if two_terms {
+                        matrix.clone().in_two_terms()
+                    } else {
+                        matrix.clone()
+                    };
+                    matrix.forward(&x).unwrap().to_vec2::<f32>().unwrap()
+                };
+                assert_eq!(
+                    product(&matrix, x.clone()),
+                    product(&expected, filled(&x)),
+                    "{weight_format} {inputs} {rows} {two_terms}"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn a_stack_multiplies_and_reads_like_its_matrices() {
     let mut random = Pcg64Mcg::seed_from_u64(3);

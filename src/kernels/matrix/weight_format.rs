@@ -140,19 +140,34 @@ impl WeightFormat {
         (8 * self.block_bytes()) as f64 / self.block() as f64
     }
 
-    /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number
+    /// Whether rows of `inputs` numbers fill blocks. In memory, zeros may fill the last block of 32
+    /// of a long row. Why: docs/decisions/143-filled-blocks.md.
+    fn holds(self, inputs: usize) -> bool {
+        /// Numbers of a row beside which a block is little: 6 %.
+        const LONG: usize = 512;
+        inputs.is_multiple_of(self.block()) || self.block() == 32 && inputs > LONG
+    }
+
+    /// Bytes of a matrix of this shape in memory; `None` if the format cannot hold it or the number
     /// overflows.
     pub fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
-        let blocks = inputs
-            .is_multiple_of(self.block())
-            .then(|| inputs / self.block())?;
+        let blocks = self.holds(inputs).then(|| inputs.div_ceil(self.block()))?;
         blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
     }
 
-    /// This format if it can hold rows of `inputs` numbers, else a finer one that can: blocks of 32
-    /// for those of 256, which llama.cpp chooses too but for `q3_k` (`iq4_nl`).
+    /// This format if a file can hold rows of `inputs` numbers in it, else a finer one that can:
+    /// blocks of 32 for those of 256, which llama.cpp chooses too but for `q3_k` (`iq4_nl`).
     /// Why: docs/decisions/139-five-bits-for-odd-widths.md.
     pub fn or_finer(self, inputs: usize) -> Self {
+        self.or_finer_where(&|format| inputs.is_multiple_of(format.block()))
+    }
+
+    /// As [`Self::or_finer`], of formats in memory.
+    pub fn or_finer_in_memory(self, inputs: usize) -> Self {
+        self.or_finer_where(&|format| format.holds(inputs))
+    }
+
+    fn or_finer_where(self, holds: &impl Fn(Self) -> bool) -> Self {
         let finer = match self {
             Self::Q3K => Self::Q4_0,
             Self::Q4K | Self::Iq4Xs => Self::Q5_0,
@@ -167,10 +182,10 @@ impl WeightFormat {
             | Self::Mxfp4 => Self::F16,
             Self::F16 | Self::F32 => return self,
         };
-        if inputs.is_multiple_of(self.block()) {
+        if holds(self) {
             self
         } else {
-            finer.or_finer(inputs)
+            finer.or_finer_where(holds)
         }
     }
 
@@ -289,5 +304,10 @@ mod tests {
             [WeightFormat::Q4_0, WeightFormat::F16]
         );
         assert_eq!(WeightFormat::F32.or_finer(7), WeightFormat::F32);
+        // Zeros fill blocks in memory and in long rows, not in files.
+        let in_memory = |inputs| Q4K.or_finer_in_memory(inputs);
+        let found = [1024, 4304, 3420, 48].map(in_memory);
+        assert_eq!(found, [Q4K, Q5_0, Q5_0, WeightFormat::F16]);
+        assert_eq!(Q8_0.or_finer(4304), WeightFormat::F16);
     }
 }

@@ -137,9 +137,7 @@ fn scores(title: &str, scenes: usize, rows: &[SourceScore]) -> Section {
 fn difference(found: Option<PairedDifference>) -> [String; 2] {
     [
         or_dash(found, |found| signed(found.mean)),
-        or_dash(found, |found| {
-            format!("{} to {}", signed(found.low), signed(found.high))
-        }),
+        or_dash(found, |found| found.interval(signed)),
     ]
 }
 
@@ -219,13 +217,7 @@ fn calibration(calibration: &Calibration) -> Vec<Block> {
 fn value(found: Option<PairedDifference>, decimals: usize) -> [String; 2] {
     [
         or_dash(found, |found| fixed(found.mean, decimals)),
-        or_dash(found, |found| {
-            format!(
-                "{} to {}",
-                fixed(found.low, decimals),
-                fixed(found.high, decimals)
-            )
-        }),
+        or_dash(found, |found| found.interval(|end| fixed(end, decimals))),
     ]
 }
 

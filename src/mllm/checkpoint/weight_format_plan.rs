@@ -13,6 +13,8 @@ pub(crate) struct WeightFormatPlan {
     pub kind: FileKind,
     /// Whether the embedding is also the output layer.
     pub tied: bool,
+    /// Whether rows fill whole blocks, as in a file. In memory, zeros may fill the last one.
+    pub whole_blocks: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -75,7 +77,7 @@ impl WeightFormatPlan {
             None => self.as_in_file(format),
             Some(asked) => asked_for(asked, self.role(name), format),
         };
-        fitting(wanted, reason, inputs)
+        self.fitting(wanted, reason, inputs)
     }
 
     /// The format in memory of a matrix with `inputs` columns that a quantizer packed.
@@ -98,7 +100,7 @@ impl WeightFormatPlan {
                 }
             }
         };
-        fitting(wanted, reason, inputs)
+        self.fitting(wanted, reason, inputs)
     }
 
     /// The format in memory of a matrix that an adapter was merged into in f32; its base has the
@@ -113,7 +115,7 @@ impl WeightFormatPlan {
         } else {
             WeightFormat::Q8_0
         };
-        let weight_format = wanted.or_finer(inputs);
+        let weight_format = self.or_finer(wanted, inputs);
         PlannedFormat {
             weight_format,
             reason: (held_as(base) != Some(weight_format)).then_some(MERGED),
@@ -124,6 +126,33 @@ impl WeightFormatPlan {
     /// safetensors as they are.
     pub(crate) fn is_lossless(self) -> bool {
         self.kind == FileKind::Safetensors && self.quantize.is_none()
+    }
+
+    /// A format that can hold rows of `inputs` numbers.
+    fn fitting(
+        self,
+        wanted: WeightFormat,
+        reason: Option<&'static str>,
+        inputs: usize,
+    ) -> PlannedFormat {
+        let weight_format = self.or_finer(wanted, inputs);
+        let reason = if weight_format == wanted {
+            reason
+        } else {
+            Some("the rows are no whole blocks of the wanted format")
+        };
+        PlannedFormat {
+            weight_format,
+            reason,
+        }
+    }
+
+    fn or_finer(self, wanted: WeightFormat, inputs: usize) -> WeightFormat {
+        if self.whole_blocks {
+            wanted.or_finer(inputs)
+        } else {
+            wanted.or_finer_in_memory(inputs)
+        }
     }
 
     fn as_in_file(self, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
@@ -153,20 +182,6 @@ impl WeightFormatPlan {
         } else {
             Role::Decoder
         }
-    }
-}
-
-/// A format that can hold rows of `inputs` numbers.
-fn fitting(wanted: WeightFormat, reason: Option<&'static str>, inputs: usize) -> PlannedFormat {
-    let weight_format = wanted.or_finer(inputs);
-    let reason = if weight_format == wanted {
-        reason
-    } else {
-        Some("the rows are no whole blocks of the wanted format")
-    };
-    PlannedFormat {
-        weight_format,
-        reason,
     }
 }
 
@@ -318,6 +333,18 @@ mod tests {
                 (expected, inputs != 512)
             );
         }
+    }
+
+    #[test]
+    fn a_file_holds_whole_blocks_and_the_memory_fills_them() {
+        let in_memory = asked(WeightFormat::Q4K);
+        let in_file = WeightFormatPlan {
+            whole_blocks: true,
+            ..in_memory
+        };
+        let planned = |plan: WeightFormatPlan| plan.matrix(TOWER, GgmlDType::F16, 4304);
+        assert_eq!(planned(in_memory).weight_format, WeightFormat::Q8_0);
+        assert_eq!(planned(in_file).weight_format, WeightFormat::F16);
     }
 
     #[test]

@@ -180,6 +180,11 @@ impl Weights {
         self.norms_have_one
     }
 
+    /// Takes matrices in formats that a file can hold.
+    pub(crate) fn set_whole_blocks(&mut self) {
+        self.plan.whole_blocks = true;
+    }
+
     /// Says that the value heads of a key lie apart in layers with a delta rule.
     pub(crate) fn set_heads_are_tiled(&mut self) {
         self.heads_are_tiled = true;

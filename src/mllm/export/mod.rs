@@ -85,6 +85,7 @@ pub fn export_model(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<LoadReport, MllmError> {
     let mut checkpoint = loading.open(place)?;
+    checkpoint.weights.set_whole_blocks();
     loading.check_family(&checkpoint)?;
     let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     let parts = parts(&mut checkpoint, &tokenizer, name, added)?;

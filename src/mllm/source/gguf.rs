@@ -81,6 +81,7 @@ fn plan(quantize: Option<WeightFormat>) -> WeightFormatPlan {
         quantize,
         kind: FileKind::Gguf,
         tied: true,
+        whole_blocks: false,
     }
 }
 

@@ -124,6 +124,7 @@ pub(super) fn checkpoint(
         quantize: Some(weight_format),
         kind: FileKind::Gguf,
         tied: false,
+        whole_blocks: false,
     };
     let mut asked = Weights::empty(files.place(), plan);
     // The family's own code says which tensors it needs, so no list of them can grow old.
@@ -139,9 +140,12 @@ pub(super) fn checkpoint(
     for (name, shape) in asked.listed() {
         let weight_format = match shape.as_slice() {
             [_, inputs] if is_matrix(name, shape) => {
-                WeightFormatPlan { tied, ..plan }
-                    .matrix(name, GgmlDType::F32, *inputs)
-                    .weight_format
+                let in_file = WeightFormatPlan {
+                    tied,
+                    whole_blocks: true,
+                    ..plan
+                };
+                in_file.matrix(name, GgmlDType::F32, *inputs).weight_format
             }
             _ => WeightFormat::F32,
         };

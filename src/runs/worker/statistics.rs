@@ -47,6 +47,17 @@ pub struct PairedDifference {
     pub pairs: usize,
 }
 
+impl PairedDifference {
+    /// Both ends in words. A single pair has no spread, so its interval is a dash.
+    pub fn interval(&self, number: impl Fn(f64) -> String) -> String {
+        if self.pairs > 1 {
+            format!("{} to {}", number(self.low), number(self.high))
+        } else {
+            "-".to_owned()
+        }
+    }
+}
+
 impl Bootstrap {
     /// The mean of differences, one a scene, with its interval; `None` without a scene. Equal
     /// differences in equal order give the same interval on every machine.
@@ -200,6 +211,13 @@ mod tests {
             other.difference(&[0.0, 1.0, 5.0]),
             Some(interval(&[0.0, 1.0, 5.0]))
         );
+    }
+
+    #[test]
+    fn one_pair_has_no_interval_in_words() {
+        let words = |differences: &[f64]| interval(differences).interval(|end| end.to_string());
+        assert_eq!(words(&[2.0]), "-");
+        assert_eq!(words(&[2.0, 2.0]), "2 to 2");
     }
 
     #[test]

@@ -415,11 +415,12 @@ pub(super) fn lost_by_rounding(rows: &[f32], inputs: usize, scaled: usize) -> Ve
         .par_chunks_mut(inputs)
         .flat_map_iter(|row| row.chunks_mut(scaled));
     parts.for_each(|part| {
-        let mut numbers = [0; SPAN];
-        let numbers = &mut numbers[..part.len()];
-        let scale = quantize_activations(part, numbers);
+        // Zeros follow the end of a row, as in the product.
+        let (mut filled, mut numbers) = ([0.0; SPAN], [0; SPAN]);
+        filled[..part.len()].copy_from_slice(part);
+        let scale = quantize_activations(&filled[..scaled], &mut numbers[..scaled]);
         for (value, number) in part.iter_mut().zip(numbers) {
-            *value -= f32::from(*number) * scale;
+            *value -= f32::from(number) * scale;
         }
     });
     lost

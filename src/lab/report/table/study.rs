@@ -386,13 +386,10 @@ fn agents(challenge: Challenge) -> &'static str {
 
 /// The difference and its interval.
 fn difference(difference: Option<PairedDifference>, is_reference: bool) -> [String; 2] {
-    let interval = |difference: PairedDifference| {
-        format!("{} to {}", signed(difference.low), signed(difference.high))
-    };
     let missing = if is_reference { "reference" } else { "-" };
     [
         or_dash(difference, |d| signed(d.mean)),
-        difference.map_or_else(|| missing.to_owned(), interval),
+        difference.map_or_else(|| missing.to_owned(), |d| d.interval(signed)),
     ]
 }
 

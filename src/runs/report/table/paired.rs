@@ -71,12 +71,11 @@ fn types(all: &[ComparedScores], width: LineWidth) -> String {
 
 fn cells(one: &ComparedScores) -> [String; 4] {
     let difference = one.difference;
-    let interval = format!("{} to {}", signed(difference.low), signed(difference.high));
     [
         fixed(one.first, 2),
         fixed(one.second, 2),
         signed(difference.mean),
-        interval,
+        difference.interval(signed),
     ]
 }
 

@@ -106,14 +106,15 @@ function scoreRow(comparison, axis, entrant, scores) {
   if (!scores) return h("div", { class: "score-row" }, who, h("span", { class: "lane-of-scores" }), h("span", { class: "score-value" }, "–"), h("span", {}));
   const from = COMPARED.from;
   const difference = entrant === from ? null : differenceOf(comparison, entrant, from);
-  const clear = difference && (difference.low > 0 || difference.high < 0);
+  const spread = difference && difference.scenes > 1;
+  const clear = spread && (difference.low > 0 || difference.high < 0);
   return h("div", { class: "score-row", title: intervalWords(scores) }, who,
     h("span", { class: "lane-of-scores" }, axis.lines(), dotAndInterval(axis, scores, colorOf(entrant))),
     h("span", { class: "score-value" }, h("output", {}, fixed(scores.mean, 2)),
       h("small", {}, scores.scenes > 1 ? `${fixed(scores.low, 1)} to ${fixed(scores.high, 1)}` : counted(scores.scenes, "scene"))),
     INDEX.entrants.length < 2 ? h("span", {}) : h("span", { class: `difference${clear ? " clear" : ""}` },
       difference ? [h("output", {}, signed(difference.mean)), h("small", { title: counted(difference.scenes, "common scene") },
-        `${signed(difference.low)} to ${signed(difference.high)}`)] : h("small", {}, entrant === from ? "reference" : "no common scene")));
+        spread ? `${signed(difference.low)} to ${signed(difference.high)}` : counted(difference.scenes, "scene"))] : h("small", {}, entrant === from ? "reference" : "no common scene")));
 }
 
 /** The section "By scenario type": a chart or numbers. */
