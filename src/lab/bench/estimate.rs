@@ -6,7 +6,7 @@ use serde::Serialize;
 
 /// Share of the limit of 8-bit products that vision towers reach. This and the next two were fitted
 /// to `planagent bench` of the models in `docs/latency.md`.
-const ENCODE: f64 = 0.32;
+const ENCODE: f64 = 0.40;
 /// Share of the same limit that the tokens of a pass reach, the reading of weights apart.
 const PREFILL: f64 = 0.54;
 /// Share of a plain read at which a pass reads its weights.
