@@ -447,7 +447,7 @@ mod tests {
             let plan = WeightFormatPlan {
                 quantize,
                 kind: FileKind::Quantized,
-                tied: false,
+                ..WeightFormatPlan::default()
             };
             plan.packed_matrix(DECODER, &form, inputs)
         };
