@@ -319,7 +319,7 @@ impl<F: Format> Product<'_, F> {
                 for (span, blocks) in group.clone().zip(&mut *blocks) {
                     self.unpack(simd, pair, span, blocks);
                 }
-                // What is unpacked next: the rest of this pair, or the next one's begin.
+                // The next group of this pair, or the first of the next pair.
                 let next = if group.end < spans {
                     group.end * F::LINES
                 } else {
