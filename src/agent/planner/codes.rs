@@ -8,9 +8,15 @@ use crate::reasoning::PlannerCode;
 pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 /// Desired speeds of the grid, as fractions of the limit.
 const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
+/// acc and dec of a firm code, m/s².
+const FIRM_ACCELERATIONS: (f64, f64) = (2.0, 4.0);
 /// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
-const GRID_ACCELERATIONS: [(f64, f64); 4] =
-    [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+const GRID_ACCELERATIONS: [(f64, f64); 4] = [
+    DEFAULT_ACCELERATIONS,
+    (1.0, 2.0),
+    FIRM_ACCELERATIONS,
+    (1.5, 6.0),
+];
 
 /// The ego's lane at the speed limit.
 pub fn fixed_code(graph: &LaneGraph) -> PlannerCode {
@@ -48,18 +54,31 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
 }
 
 /// Codes that are tried where Reflection refused all of a call: the ego's lane from the limit down,
-/// and where something blocks it, other lanes at the limit. Behind moving traffic, a change into
-/// another lane comes near others more often than it helps.
+/// and where something blocks it, the lanes beside at the limit. Behind moving traffic, a change
+/// into another lane comes near others more often than it helps.
 /// Why: docs/decisions/129-judged-handover.md.
 pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
     let own = moving().map(|fraction| (CenterlineName::EgoLane, fraction));
     let others = graph
-        .named()
+        .centerlines
+        .iter()
         .filter(|centerline| graph.blocked.is_some() && centerline.name != CenterlineName::EgoLane)
         .map(|centerline| (centerline.name, 1.0));
     own.chain(others)
         .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
         .collect()
+}
+
+/// Codes that pass what blocks the ego's lane over the oncoming one, at the limit: a firm
+/// acceleration needs less sight and a shorter gap.
+/// Why: docs/decisions/144-wait-where-the-way-begins.md.
+pub(super) fn codes_past(graph: &LaneGraph) -> Vec<PlannerCode> {
+    if graph.oncoming.is_none() {
+        return Vec::new();
+    }
+    [DEFAULT_ACCELERATIONS, FIRM_ACCELERATIONS]
+        .map(|pair| planner_code(graph, CenterlineName::OncomingLane, 1.0, pair))
+        .to_vec()
 }
 
 /// Codes that begin the way to the goal's lane, from the limit down. They are tried where the plan

@@ -5,7 +5,7 @@ use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
 use super::code_question::{CodeQuestion, begins_lane_change};
 use super::code_source::CodeSource;
-use super::codes::{codes_to_goal, further_codes};
+use super::codes::{codes_past, codes_to_goal, further_codes};
 use super::language_agent::{CallTerms, LanguageAgent, Shown, planning_call};
 use super::layer::AgentLayer;
 use super::layered::with_layers;
@@ -15,7 +15,7 @@ use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
 use crate::environment::lane_graph::GoalLane;
-use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
+use crate::environment::{CenterlineName, GraphedScene, LaneGraph, LaneGraphError};
 use crate::reasoning::{AnswerHistory, PlannerAnswer, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use planagent_mllm::milliseconds;
@@ -156,6 +156,9 @@ impl LanguageAgent for PlanAgent {
             if attempts.are_refused() {
                 attempts.try_further(&mut question, further_codes(graph))?;
             }
+            if judge.is_some() && !leaves_lane(attempts.accepted_answer()) {
+                attempts.try_further(&mut question, codes_past(graph))?;
+            }
             if let (Some(goal), Some(_)) = (graph.goal, &judge)
                 && !is_towards(goal, attempts.accepted_answer())
             {
@@ -218,6 +221,11 @@ impl LanguageAgent for PlanAgent {
     }
 }
 
+/// Whether an answer is a code for another lane.
+fn leaves_lane(answer: Option<PlannerAnswer>) -> bool {
+    matches!(answer, Some(PlannerAnswer::Code(code)) if code.centerline != CenterlineName::EgoLane)
+}
+
 /// Whether an answer is a code that begins the way to the goal's lane.
 fn is_towards(goal: GoalLane, answer: Option<PlannerAnswer>) -> bool {
     matches!(answer, Some(PlannerAnswer::Code(code)) if goal.is_towards(code.centerline.lane_changes()))
@@ -274,7 +282,7 @@ impl AgentLayer for PlanAgent {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH};
+    use crate::environment::DEFAULT_NODE_LENGTH;
     use planagent_world::geometry::Pose;
     use planagent_world::{LaneId, Scene};
 
@@ -365,6 +373,45 @@ mod tests {
                 code.contains(kept),
                 "{beside:?}: the ego would brake, {code}"
             );
+        }
+    }
+
+    /// The code that drives, and whether the model was asked for it, where the model waits behind a
+    /// broken-down car on the only lane of its direction.
+    fn waits(limit: f64, further_codes: bool, comes: bool) -> (String, bool) {
+        let mut scene = Scene::builder()
+            .speed_limit(limit)
+            .lane([[-200.0, 0.0], [300.0, 0.0]])
+            .lane([[300.0, 3.5], [-200.0, 3.5]])
+            .ego([0.0, 0.0], 0.0, 0.0)
+            .vehicle([17.5, 0.0], 0.0, 0.0);
+        if comes {
+            scene = scene.vehicle([70.0, 3.5], std::f64::consts::PI, 8.0);
+        }
+        let mut settings = PlanAgentSettings::default();
+        settings.environment.oncoming_lane = Some(true);
+        settings.reflection.further_codes = further_codes;
+        let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
+        let (call, _) = called(&scene.build().unwrap(), code, settings);
+        let driven = call.accepted().unwrap();
+        (driven.answer.unwrap().to_string(), driven.is_asked)
+    }
+
+    #[test]
+    fn an_agent_that_waits_passes_as_soon_as_it_may_and_firmly_where_that_needs_less_sight() {
+        let past = |(code, is_asked): (String, bool), acc: &str| {
+            assert!(!is_asked && code.contains("c=oncoming_lane"), "{code}");
+            assert!(code.contains(acc), "{code}");
+        };
+        past(waits(13.0, true, false), "acc=1.5");
+        past(waits(15.0, true, false), "acc=2,");
+        for (limit, further_codes, comes) in [
+            (13.0, false, false),
+            (13.0, true, true),
+            (28.0, true, false),
+        ] {
+            let (code, _) = waits(limit, further_codes, comes);
+            assert!(code.contains("c=ego_lane"), "{limit} {comes}: {code}");
         }
     }
 

@@ -306,6 +306,38 @@ mod tests {
         );
     }
 
+    /// How far before a broken-down car an ego stops that comes at 14 m/s, and how hard it brakes.
+    fn stops(scene: SceneBuilder, car: f64) -> (f64, f64) {
+        let scene = scene.vehicle([car, 0.0], 0.0, 0.0).build().unwrap();
+        let (plan, _) = plan(&scene, CenterlineName::EgoLane);
+        let rollout = plan.roll_out(&scene.view(), 150);
+        let front = rollout.poses.last().unwrap().x + PACIFICA.front_length;
+        let speeds = rollout.speeds.windows(2);
+        let hardest = speeds.fold(0.0, |most: f64, w| most.max((w[0] - w[1]) / STEP_S));
+        (car - 2.3 - front, hardest)
+    }
+
+    #[test]
+    fn an_ego_brakes_for_the_waiting_place_as_hard_as_it_must() {
+        let lanes = |count| {
+            Scene::builder()
+                .lanes(count, [[-100.0, 0.0], [300.0, 0.0]])
+                .lane([[300.0, 3.5], [-100.0, 3.5]])
+                .ego([0.0, 0.0], 0.0, 14.0)
+        };
+        let (far, gently) = stops(lanes(1), 58.0);
+        assert!(far > 9.5 && gently < 3.2, "{far} {gently}");
+        let (near, hard) = stops(lanes(1), 42.0);
+        assert!(near > 9.5 && hard > 3.5 && hard < 6.01, "{near} {hard}");
+        let (nearer, hardest) = stops(lanes(1), 30.0);
+        assert!(nearer > 0.5 && hardest > 5.9, "as soon as it may: {nearer}");
+        let (with_lane_beside, as_the_code) = stops(lanes(2), 42.0);
+        assert!(
+            with_lane_beside < 9.0 && as_the_code < 3.2,
+            "{with_lane_beside} {as_the_code}"
+        );
+    }
+
     #[test]
     fn monitoring_gives_an_overtake_up_when_a_rule_breaks_and_completes_one_that_has_begun() {
         let monitor = PlanMonitor {

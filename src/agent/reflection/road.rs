@@ -1,6 +1,6 @@
 //! The road of a roll-out: what the plan follows, and where it stops.
 
-use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP};
+use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP, WaitingPlace};
 use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
 use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector};
@@ -40,6 +40,9 @@ pub(super) struct Road<'a> {
     objects: Vec<Vec<OnPath>>,
     /// Arc length at which the front bumper stops, for a red light or the end of the path.
     stop_s: f64,
+    /// The hardest braking of the roll-outs, m/s²: the code's, or what the place before an obstacle
+    /// needs.
+    pub(super) decel_max: f64,
 }
 
 impl<'a> Road<'a> {
@@ -92,13 +95,18 @@ impl<'a> Road<'a> {
                 )
             }
         };
-        let stop_s = match plan.lead_policy {
-            LeadPolicy::Named => path.length(),
+        let (stop_s, decel_max) = match plan.lead_policy {
+            LeadPolicy::Named => (path.length(), plan.code.decel_max),
             LeadPolicy::Nearest => {
-                let stops = red_light(plan, path, scene)
-                    .into_iter()
-                    .chain(before_obstacle(plan, path, scene));
-                stops.fold(path.length(), f64::min)
+                let wait = plan
+                    .waiting_place
+                    .map(|place| before_obstacle(plan, path, scene, place));
+                let (obstacle_s, decel_max) = wait.unzip();
+                let stops = red_light(plan, path, scene).into_iter().chain(obstacle_s);
+                (
+                    stops.fold(path.length(), f64::min),
+                    decel_max.unwrap_or(plan.code.decel_max),
+                )
             }
         };
         let on_path = |search: usize| {
@@ -117,6 +125,7 @@ impl<'a> Road<'a> {
             start,
             objects: (0..steps.div_ceil(LEAD_REFRESH)).map(on_path).collect(),
             stop_s,
+            decel_max,
         }
     }
 
@@ -172,14 +181,22 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
         .moved_to(Pose::at(at, object.shape.center.heading))
 }
 
-/// Arc length on the path of the place before an obstacle at which the ego can still leave its
-/// lane. Where the ego is beyond that place, it stops as soon as its code allows.
-fn before_obstacle(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
-    let stop_s = path.project(plan.stop_point?).s;
+/// Arc length on the path at which the front bumper stops before an obstacle, and the braking for
+/// that, m/s²: what reaches the waiting place, at least the code's. An ego that cannot reach it, or
+/// is beyond, stops as soon as it may.
+fn before_obstacle(
+    plan: &IdmPlan,
+    path: &Polyline,
+    scene: &SceneView<'_>,
+    place: WaitingPlace,
+) -> (f64, f64) {
+    let stop_s = path.project(place.at).s;
     let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-    let soonest =
-        front + MIN_GAP + scene.ego.velocity.x.max(0.0).powi(2) / (2.0 * plan.code.decel_max);
-    Some(stop_s.max(soonest))
+    let at_once = front + MIN_GAP;
+    let half_square = scene.ego.velocity.x.max(0.0).powi(2) / 2.0;
+    let needed = half_square / (stop_s - at_once).max(f64::MIN_POSITIVE);
+    let decel = plan.code.decel_max.max(needed.min(place.decel_max));
+    (stop_s.max(at_once + half_square / decel), decel)
 }
 
 /// Arc length on the path of the first red light ahead: the start of its connector.

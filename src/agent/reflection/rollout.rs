@@ -62,8 +62,8 @@ pub struct IdmPlan {
     leaves_blocked_lane: bool,
     /// The way past what blocks the ego's lane, where the plan takes it.
     oncoming: Option<Box<OncomingLane>>,
-    /// Where the ego stops in its lane before what it may pass.
-    pub(super) stop_point: Option<Point>,
+    /// Where the ego waits in its lane before what it may pass.
+    pub(super) waiting_place: Option<WaitingPlace>,
     /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The
     /// first is the code's, which keeps a distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
@@ -71,6 +71,14 @@ pub struct IdmPlan {
     settled: Point,
     /// The bends along the paths.
     bends: Bends,
+}
+
+/// The place before an obstacle from which the ego can still leave its lane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct WaitingPlace {
+    pub(super) at: Point,
+    /// The hardest braking for it, m/s².
+    pub(super) decel_max: f64,
 }
 
 /// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
@@ -167,7 +175,7 @@ impl IdmPlan {
             ride: builder.ride,
             leaves_blocked_lane: false,
             oncoming: None,
-            stop_point: None,
+            waiting_place: None,
             paths,
             settled,
             bends,
@@ -208,9 +216,10 @@ impl IdmPlan {
 
     /// The same where something may block the ego's lane. A plan over the oncoming lane passes it.
     /// A plan in the ego's lane stops where the ego can still leave the lane, unless its path leads
-    /// past. One that leaves it rides as IDM does: out of braking, a gentle start comes too late to
-    /// pass.
-    /// Why: docs/decisions/132-past-at-once.md.
+    /// past. Where only the oncoming lane does, it brakes for that place as hard as it must: who
+    /// stops nearer never passes. One that leaves the lane rides as IDM does: out of braking, a
+    /// gentle start comes too late to pass.
+    /// Why: docs/decisions/132-past-at-once.md, docs/decisions/144-wait-where-the-way-begins.md.
     pub(super) fn at_blocked_lane(
         mut self,
         seen: GraphedScene<'_>,
@@ -219,11 +228,15 @@ impl IdmPlan {
         let graph = seen.graph;
         self.leaves_blocked_lane =
             follows != CenterlineName::EgoLane && graph.stop_point().is_some();
-        (self.oncoming, self.stop_point) = match follows {
+        (self.oncoming, self.waiting_place) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
             CenterlineName::EgoLane => {
                 let stop_point = graph.stop_point().filter(|_| !self.leads_past(seen));
-                (None, stop_point)
+                let decel_max = match graph.centerlines.as_slice() {
+                    [_] => STOP_DECEL,
+                    _ => self.code.decel_max,
+                };
+                (None, stop_point.map(|at| WaitingPlace { at, decel_max }))
             }
             CenterlineName::LeftLane | CenterlineName::RightLane => (None, None),
         };
@@ -249,16 +262,16 @@ impl IdmPlan {
     }
 
     /// The same without the stop before what the ego may pass.
-    pub(super) fn without_stop_point(self) -> Self {
+    pub(super) fn without_wait(self) -> Self {
         Self {
-            stop_point: None,
+            waiting_place: None,
             ..self
         }
     }
 
     /// The same over the oncoming lane, past what another plan has begun to pass.
     pub(super) fn completing(mut self, lane: &OncomingLane) -> Self {
-        (self.oncoming, self.stop_point) = (Some(Box::new(lane.clone())), None);
+        (self.oncoming, self.waiting_place) = (Some(Box::new(lane.clone())), None);
         self.leaves_blocked_lane = true;
         self
     }
@@ -368,7 +381,7 @@ impl IdmPlan {
         let decel_max = if version == Version::STOP {
             STOP_DECEL
         } else {
-            self.code.decel_max
+            road.decel_max
         };
         let idm = IdmParameters {
             target_velocity,
