@@ -69,8 +69,8 @@ pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
         .collect()
 }
 
-/// Codes that pass what blocks the ego's lane over the oncoming one, at the limit: a firm
-/// acceleration needs less sight and a shorter gap.
+/// Codes that pass what blocks the ego's lane over the oncoming one, at the limit. A firm
+/// acceleration brings the ego back sooner, so it needs less sight and a shorter gap.
 /// Why: docs/decisions/144-wait-where-the-way-begins.md.
 pub(super) fn codes_past(graph: &LaneGraph) -> Vec<PlannerCode> {
     if graph.oncoming.is_none() {

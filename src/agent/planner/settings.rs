@@ -120,8 +120,7 @@ pub struct ReflectionSettings {
     pub after_max_exec: AfterMaxExec,
     /// Whether further codes are tried out when all attempts were refused: the ego's lane more
     /// slowly and, where something blocks it, other lanes. Where no accepted plan begins the way to
-    /// the goal's lane, or the way past what blocks the ego's over the oncoming lane, that is tried
-    /// too.
+    /// the goal's lane, or past an obstacle over the oncoming lane, that is tried too.
     /// Why: docs/decisions/129-judged-handover.md, docs/decisions/136-to-the-goals-lane.md,
     /// docs/decisions/144-wait-where-the-way-begins.md.
     pub further_codes: bool,

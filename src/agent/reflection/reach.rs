@@ -138,7 +138,7 @@ impl Compared<'_, '_> {
             return Ok(Vec::new());
         };
         let simulated: Vec<Vec<EgoState>> = plan
-            .without_wait()
+            .without_waiting_place()
             .roll_out_versions(self.scene, self.steps)
             .iter()
             .filter(|(version, _)| version.rides_as_plan())

@@ -38,7 +38,8 @@ pub(super) struct Road<'a> {
     pub(super) start: f64,
     /// The objects on the path at each search for the lead object, [`LEAD_REFRESH`] steps apart.
     objects: Vec<Vec<OnPath>>,
-    /// Arc length at which the front bumper stops, for a red light or the end of the path.
+    /// Arc length at which the front bumper stops: for a red light, before an obstacle, or at the end
+    /// of the path.
     stop_s: f64,
     /// The hardest braking of the roll-outs, m/s²: the code's, or what the place before an obstacle
     /// needs.

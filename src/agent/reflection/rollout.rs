@@ -76,6 +76,7 @@ pub struct IdmPlan {
 /// The place before an obstacle from which the ego can still leave its lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct WaitingPlace {
+    /// Where the front bumper stops, map frame.
     pub(super) at: Point,
     /// The hardest braking for it, m/s².
     pub(super) decel_max: f64,
@@ -262,7 +263,7 @@ impl IdmPlan {
     }
 
     /// The same without the stop before what the ego may pass.
-    pub(super) fn without_wait(self) -> Self {
+    pub(super) fn without_waiting_place(self) -> Self {
         Self {
             waiting_place: None,
             ..self
