@@ -1,6 +1,6 @@
 //! Products of f16 and f32 weights with f32 activations, summed in f32.
 
-use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part};
+use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part, take_all_tiles};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 use std::marker::PhantomData;
@@ -94,20 +94,12 @@ impl<W: Width> Format for Float<W> {
         inputs: usize,
         sums: &mut [TileSums; ROWS],
     ) {
-        let mut totals = [[simd.floats(0.0); TILES]; ROWS];
-        let rows = words.as_chunks::<ROWS>().0.iter().take(inputs);
-        for ((activations, first), second) in rows.zip(&blocks[0]).zip(&blocks[1]) {
-            let weights = [simd.load(first), simd.load(second)];
-            for (totals, activation) in totals.iter_mut().zip(activations) {
-                let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
-                for (total, weights) in totals.iter_mut().zip(weights) {
-                    *total = simd.mul_add(activation, weights, *total);
-                }
-            }
-        }
-        for (sums, totals) in sums.iter_mut().zip(totals) {
-            for (sum, total) in sums.iter_mut().zip(totals) {
-                simd.store(simd.add(simd.load(sum), total), sum);
+        let rows = &words.as_chunks::<ROWS>().0[..inputs];
+        if const { take_all_tiles::<S, ROWS>() } {
+            multiply_tiles::<S, ROWS, TILES>(simd, blocks, rows, 0, sums);
+        } else {
+            for tile in 0..TILES {
+                multiply_tiles::<S, ROWS, 1>(simd, blocks, rows, tile, sums);
             }
         }
     }
@@ -121,27 +113,93 @@ impl<W: Width> Format for Float<W> {
         _: usize,
         sums: &mut [TileSums; ROWS],
     ) {
-        let mut totals = [[simd.floats(0.0); TILES]; ROWS];
         let rows = words.as_chunks::<ROWS>().0;
-        let lines = span.tiles[0].iter().zip(span.tiles[1]);
-        for (part, (rows, lines)) in rows.chunks(W::NUMBERS).zip(lines).enumerate() {
-            prefetch_part(simd, span.ahead, Self::LINES, part, Self::LINES);
-            for (index, activations) in rows.iter().enumerate() {
-                let weights = [W::load(simd, lines.0, index), W::load(simd, lines.1, index)];
-                // By index: with iterators, five rows and more would not stay in registers.
-                for row in 0..ROWS {
-                    let activation = simd.floats(f32::from_bits(activations[row].cast_unsigned()));
-                    for tile in 0..TILES {
-                        totals[row][tile] =
-                            simd.mul_add(activation, weights[tile], totals[row][tile]);
-                    }
-                }
+        if const { take_all_tiles::<S, ROWS>() } {
+            multiply_lines::<W, S, ROWS, TILES>(simd, span, rows, 0, sums);
+        } else {
+            for tile in 0..TILES {
+                multiply_lines::<W, S, ROWS, 1>(simd, span, rows, tile, sums);
             }
         }
-        for (sums, totals) in sums.iter_mut().zip(totals) {
-            for (sum, total) in sums.iter_mut().zip(totals) {
-                simd.store(simd.add(simd.load(sum), total), sum);
-            }
+    }
+}
+
+/// Adds the products of a span with `AT_ONCE` tiles, from tile `first` on, to their sums.
+#[inline(always)]
+fn multiply_tiles<S: Simd, const ROWS: usize, const AT_ONCE: usize>(
+    simd: S,
+    blocks: &[[[f32; LANES]; SPAN]; TILES],
+    rows: &[[i32; ROWS]],
+    first: usize,
+    sums: &mut [TileSums; ROWS],
+) {
+    let mut totals = [[simd.floats(0.0); AT_ONCE]; ROWS];
+    // The first and the last tile, which may be the same.
+    let numbers = blocks[first].iter().zip(&blocks[first + AT_ONCE - 1]);
+    for (activations, numbers) in rows.iter().zip(numbers) {
+        let mut weights = [simd.load(numbers.0); AT_ONCE];
+        weights[AT_ONCE - 1] = simd.load(numbers.1);
+        add_products(simd, &weights, activations, &mut totals);
+    }
+    add_totals(simd, &totals, first, sums);
+}
+
+/// As [`multiply_tiles`], straight from the packed lines.
+#[inline(always)]
+fn multiply_lines<W: Width, S: Simd, const ROWS: usize, const AT_ONCE: usize>(
+    simd: S,
+    span: PackedSpan<'_>,
+    rows: &[[i32; ROWS]],
+    first: usize,
+    sums: &mut [TileSums; ROWS],
+) {
+    let mut totals = [[simd.floats(0.0); AT_ONCE]; ROWS];
+    let parts = SPAN / W::NUMBERS;
+    // The first and the last tile, which may be the same.
+    let lines = span.tiles[first]
+        .iter()
+        .zip(span.tiles[first + AT_ONCE - 1]);
+    for (part, (rows, lines)) in rows.chunks(W::NUMBERS).zip(lines).enumerate() {
+        if first == 0 {
+            prefetch_part(simd, span.ahead, parts, part, parts);
+        }
+        for (index, activations) in rows.iter().enumerate() {
+            let mut weights = [W::load(simd, lines.0, index); AT_ONCE];
+            weights[AT_ONCE - 1] = W::load(simd, lines.1, index);
+            add_products(simd, &weights, activations, &mut totals);
+        }
+    }
+    add_totals(simd, &totals, first, sums);
+}
+
+/// Adds the products of an input.
+#[inline(always)]
+fn add_products<S: Simd, const ROWS: usize, const AT_ONCE: usize>(
+    simd: S,
+    weights: &[S::Floats; AT_ONCE],
+    activations: &[i32; ROWS],
+    totals: &mut [[S::Floats; AT_ONCE]; ROWS],
+) {
+    // By index: with iterators, five rows and more would not stay in registers.
+    for row in 0..ROWS {
+        let activation = simd.floats(f32::from_bits(activations[row].cast_unsigned()));
+        for tile in 0..AT_ONCE {
+            totals[row][tile] = simd.mul_add(activation, weights[tile], totals[row][tile]);
+        }
+    }
+}
+
+/// Adds the totals of a span to the sums.
+#[inline(always)]
+fn add_totals<S: Simd, const ROWS: usize, const AT_ONCE: usize>(
+    simd: S,
+    totals: &[[S::Floats; AT_ONCE]; ROWS],
+    first: usize,
+    sums: &mut [TileSums; ROWS],
+) {
+    for (sums, totals) in sums.iter_mut().zip(totals) {
+        for (sum, total) in sums[first..].iter_mut().zip(totals) {
+            simd.store(simd.add(simd.load(sum), *total), sum);
         }
     }
 }

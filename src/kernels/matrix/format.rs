@@ -11,6 +11,13 @@ pub(super) const TILES: usize = 2;
 /// fill AVX-512's registers.
 pub(super) const MAX_BATCH: usize = 6;
 
+/// Whether the sums of all tiles with this number of rows fill at most half of the registers. If
+/// not, rows are multiplied with one tile after the other.
+/// Why: docs/decisions/145-few-registers.md.
+pub(super) const fn take_all_tiles<S: Simd, const ROWS: usize>() -> bool {
+    ROWS * TILES <= S::REGISTERS / 2
+}
+
 /// Outputs that a kernel computes at once.
 pub(super) const COLUMNS: usize = TILES * LANES;
 

@@ -4,8 +4,13 @@ use super::line::{CacheLine, LANES};
 use super::simd::{Instructions, Kernel, Simd};
 use std::hint::black_box;
 
+/// Steps of a run of 32 numbers: sums of bytes are widened after them.
+const STEPS: usize = 8;
+/// Vectors of weights.
+const WEIGHTS: usize = 3;
+
 /// Multiplies and adds bytes that stay in registers, `rounds` times for each of several sums, on
-/// this thread. Returns the operations: two for each product.
+/// this thread; `rounds` is a multiple of [`STEPS`]. Returns the operations: two for each product.
 pub(crate) fn byte_operations(rounds: usize) -> usize {
     let mut sums = 0;
     Instructions::best().run(ByteOperations {
@@ -28,7 +33,7 @@ impl Kernel for ByteOperations<'_> {
         *self.sums = if S::REGISTERS >= 32 {
             add::<S, 12>(simd, self.rounds)
         } else {
-            add::<S, 4>(simd, self.rounds)
+            add::<S, 3>(simd, self.rounds)
         };
     }
 }
@@ -36,12 +41,27 @@ impl Kernel for ByteOperations<'_> {
 /// Adds to `N` sums in turn; returns `N`.
 #[inline(always)]
 fn add<S: Simd, const N: usize>(simd: S, rounds: usize) -> usize {
-    let weights = simd.bytes(black_box(&CacheLine([1; 64])));
-    let activations = black_box(0x0201_0201);
+    // Different weights and activations, so that the compiler computes no product once for several
+    // sums or rounds.
+    let mut weights = [simd.bytes(&CacheLine::ZERO); WEIGHTS];
+    for weights in &mut weights {
+        *weights = simd.bytes(black_box(&CacheLine([1; 64])));
+    }
+    let mut activations = [0x0201_0201; STEPS];
     let mut sums = [simd.ints(0); N];
-    for _ in 0..rounds {
-        for sum in &mut sums {
-            *sum = simd.dot(*sum, weights, activations);
+    for _ in 0..rounds / STEPS {
+        let activations = black_box(&mut activations);
+        let mut products = [simd.begin_dots(simd.ints(0)); N];
+        for (products, sum) in products.iter_mut().zip(sums) {
+            *products = simd.begin_dots(sum);
+        }
+        for activations in activations {
+            for (index, products) in products.iter_mut().enumerate() {
+                *products = simd.dot(*products, weights[index % WEIGHTS], *activations);
+            }
+        }
+        for (sum, products) in sums.iter_mut().zip(products) {
+            *sum = simd.end_dots(*sum, products);
         }
     }
     for sum in sums {

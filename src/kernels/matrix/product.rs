@@ -73,7 +73,8 @@ fn multiply_as<F: Format>(
 ) {
     let inputs = tiles.inputs();
     let row_words = F::row_words(inputs);
-    let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
+    let at_once = instructions.batch();
+    let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / at_once).max(1) * at_once;
     let threads = rayon::current_num_threads();
     if Awake::is_one_pass() {
         read_ahead::multiplied(tiles.lines(), prefetch);
@@ -89,19 +90,19 @@ fn multiply_as<F: Format>(
         };
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= enough;
         let pack = |batch: usize, words: &mut [i32]| {
-            let first = batch * MAX_BATCH * inputs;
+            let first = batch * at_once * inputs;
             instructions.run(Pack::<F> {
                 inputs,
-                rows: &rows[first..rows.len().min(first + MAX_BATCH * inputs)],
+                rows: &rows[first..rows.len().min(first + at_once * inputs)],
                 words,
                 format: PhantomData,
             });
         };
-        let words = if parallel && count > MAX_BATCH {
-            in_parts(count * row_words, MAX_BATCH * row_words, pack)
+        let words = if parallel && count > at_once {
+            in_parts(count * row_words, at_once * row_words, pack)
         } else {
             let mut words = vec![0; count * row_words];
-            let batches = words.chunks_mut(MAX_BATCH * row_words).enumerate();
+            let batches = words.chunks_mut(at_once * row_words).enumerate();
             batches.for_each(|(batch, words)| pack(batch, words));
             words
         };
@@ -248,9 +249,13 @@ impl<F: Format> Product<'_, F> {
         let mut scales = [F::no_scales(), F::no_scales()];
         let scales = &mut scales;
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
-            let batches = self.words.chunks(MAX_BATCH * self.row_words).enumerate();
+            let batches = self.words.chunks(S::BATCH * self.row_words).enumerate();
             for (batch, words) in batches {
-                let place = (self.row + batch * MAX_BATCH, self.first + index * COLUMNS);
+                let place = (self.row + batch * S::BATCH, self.first + index * COLUMNS);
+                if S::BATCH == 1 {
+                    self.multiply_pair::<S, 1>(simd, pair, words, scales, place);
+                    continue;
+                }
                 match words.len() / self.row_words {
                     1 => self.multiply_pair::<S, 1>(simd, pair, words, scales, place),
                     2 => self.multiply_pair::<S, 2>(simd, pair, words, scales, place),
@@ -327,9 +332,9 @@ impl<F: Format> Product<'_, F> {
                 };
                 let ahead = pair.as_ptr().wrapping_add(next);
                 let ahead = [ahead, ahead.wrapping_add(self.tile_lines)];
-                let batches = self.words.chunks(MAX_BATCH * self.row_words);
+                let batches = self.words.chunks(S::BATCH * self.row_words);
                 let count = batches.len();
-                let batches = batches.zip(sums.chunks_mut(MAX_BATCH));
+                let batches = batches.zip(sums.chunks_mut(S::BATCH));
                 for (batch, (words, sums)) in batches.enumerate() {
                     prefetch_part(simd, ahead, step * F::LINES, batch, count);
                     // Sums and activations of a batch stay in the first-level cache.
@@ -340,7 +345,7 @@ impl<F: Format> Product<'_, F> {
                         multiply_batch::<F, S>(simd, blocks, &words[start..end], inputs, sums);
                     }
                     if group.end == spans {
-                        let row = self.row + batch * MAX_BATCH;
+                        let row = self.row + batch * S::BATCH;
                         // Written here, so that the stores overlap with the next batch.
                         // SAFETY: only this thread writes the outputs of these tiles.
                         unsafe { self.out.write(simd, row, column, sums) };
@@ -370,7 +375,11 @@ fn multiply_batch<F: Format, S: Simd>(
     inputs: usize,
     sums: &mut [TileSums],
 ) {
-    if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {
+    if S::BATCH == 1 {
+        for sums in sums.as_chunks_mut::<1>().0 {
+            F::multiply(simd, blocks, words, inputs, sums);
+        }
+    } else if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 5]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, inputs, sums);

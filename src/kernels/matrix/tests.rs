@@ -176,6 +176,45 @@ proptest! {
     }
 }
 
+/// Sums of 16 bits must not overflow where every number is the largest.
+#[test]
+fn sums_hold_the_largest_numbers() {
+    let mut random = Pcg64Mcg::seed_from_u64(7);
+    let (outputs, inputs) = (40, 512);
+    let bytes = [0xff, 0x80, 0x7f, 0];
+    for (weight_format, byte) in every_format().flat_map(|format| bytes.map(|byte| (format, byte)))
+    {
+        if matches!(weight_format, WeightFormat::F32 | WeightFormat::F16) {
+            continue;
+        }
+        let mut bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
+        for block in bytes.chunks_exact_mut(weight_format.block_bytes()) {
+            let halves = weight_format.halves();
+            for (index, place) in block.iter_mut().enumerate() {
+                if !halves.iter().any(|at| (*at..at + 2).contains(&index)) {
+                    *place = byte;
+                }
+            }
+            if weight_format == WeightFormat::Mxfp4 {
+                block[0] = 120;
+            }
+        }
+        let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
+        for x in [vec![1.0; 30 * inputs], vec![-1.0; 30 * inputs]] {
+            let expected = plain(&tiles, &x);
+            for instructions in Instructions::available() {
+                let found = multiplied(&tiles, &x, instructions);
+                for (found, (value, magnitude)) in found.iter().zip(&expected) {
+                    assert!(
+                        (f64::from(*found) - value).abs() <= magnitude * 1e-5,
+                        "{weight_format} {byte} {instructions:?}: {found} {value}"
+                    );
+                }
+            }
+        }
+    }
+}
+
 /// Also in the last span of a row, which may have fewer inputs than others.
 #[test]
 fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {

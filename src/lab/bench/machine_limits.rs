@@ -11,10 +11,15 @@ use std::sync::OnceLock;
 /// Largest file of kept limits, bytes.
 const MAX_BYTES: u64 = 4096;
 
+/// How limits are measured; another number makes kept ones worthless. 2: no product of a probe is
+/// computed once for several sums.
+const MEASUREMENT: u32 = 2;
+
 /// Kept limits, and for which processor they hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {
+    measurement: u32,
     processor: String,
     threads: usize,
     limits: Limits,
@@ -70,7 +75,8 @@ fn read(path: &Path) -> Option<Limits> {
     let text = planagent_files::read_text(path, MAX_BYTES).ok()?;
     let kept: Kept = serde_json::from_str(&text).ok()?;
     let is_usable = |limit: f64| limit.is_finite() && limit > 0.0;
-    let same = kept.processor == cpu()
+    let same = kept.measurement == MEASUREMENT
+        && kept.processor == cpu()
         && kept.threads == rayon::current_num_threads()
         && is_usable(kept.limits.operations_per_s)
         && is_usable(kept.limits.read_bytes_per_s);
@@ -79,6 +85,7 @@ fn read(path: &Path) -> Option<Limits> {
 
 fn keep(path: &Path, limits: &Limits) -> io::Result<()> {
     let kept = Kept {
+        measurement: MEASUREMENT,
         processor: cpu(),
         threads: rayon::current_num_threads(),
         limits: limits.clone(),
@@ -106,6 +113,7 @@ mod tests {
         assert_eq!(read(&path), Some(limits));
         let text = std::fs::read_to_string(&path).unwrap();
         for (from, to) in [
+            ("\"measurement\":", "\"measurement\":9"),
             ("\"threads\":", "\"threads\":9"),
             ("\"processor\":\"", "\"processor\":\"another "),
             ("1000000000000.0", "-1.0"),

@@ -15,6 +15,7 @@ impl Quantized for Q6K {
     const SUM_WORDS: usize = 16;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = SPAN;
+    const LARGEST: i32 = 63;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -66,6 +67,7 @@ impl Quantized for Q5K {
     const SUM_WORDS: usize = 4;
     const MINIMA: Minima = Minima::Scaled;
     const SCALED: usize = SPAN;
+    const LARGEST: i32 = 31;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -111,6 +113,7 @@ impl Quantized for Q4K {
     const SUM_WORDS: usize = 4;
     const MINIMA: Minima = Minima::Scaled;
     const SCALED: usize = SPAN;
+    const LARGEST: i32 = 15;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -154,6 +157,7 @@ impl Quantized for Q3K {
     const SUM_WORDS: usize = 16;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = SPAN;
+    const LARGEST: i32 = 28;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {

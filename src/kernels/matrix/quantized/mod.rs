@@ -11,7 +11,7 @@ pub(super) use k_quants::{Q3K, Q4K, Q5K, Q6K};
 pub(super) use runs_of_32::{Q4_0, Q4_1, Q5_0, Q5_1, Q8_0};
 pub(super) use tables::{Iq4Nl, Iq4Xs, Mxfp4};
 
-use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part};
+use super::format::{Format, PackedSpan, TILES, TileSums, prefetch_part, take_all_tiles};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 use rayon::prelude::*;
@@ -24,6 +24,8 @@ const STEPS: usize = SPAN / 4;
 const SUMMED: usize = 16;
 /// Largest magnitude of a quantized activation.
 const MAX_MAGNITUDE: f32 = 127.0;
+/// Largest magnitude of a number that [`Simd::dot_biased`] multiplies.
+const LARGEST_BIASED: i32 = 128;
 
 /// Unpacked weights of sixteen outputs in a span.
 #[derive(Debug, Clone)]
@@ -80,6 +82,8 @@ trait Quantized {
     const MINIMA: Minima;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
+    /// Largest magnitude of a number in [`Self::dot`].
+    const LARGEST: i32;
 
     /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations, and from
     /// the bits of their scales.
@@ -99,7 +103,7 @@ trait Quantized {
 
     /// Adds the products of four numbers of each output.
     #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+    fn dot<S: Simd>(simd: S, sum: S::ByteSums, weights: S::Bytes, activations: i32) -> S::ByteSums {
         simd.dot(sum, weights, activations)
     }
 }
@@ -225,8 +229,8 @@ fn multiply_lines<Q: Quantized, S: Simd, const ROWS: usize>(
 trait Numbers<Q: Quantized> {
     /// Called before each run of numbers that share a scale.
     fn begin<S: Simd>(&self, simd: S, run: usize);
-    /// The numbers of a step of each tile.
-    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES];
+    /// The numbers of a step of a tile.
+    fn step<S: Simd>(&self, simd: S, tile: usize, step: usize) -> S::Bytes;
 }
 
 /// Blocks that were unpacked before, for many rows.
@@ -237,12 +241,8 @@ impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
     fn begin<S: Simd>(&self, _: S, _: usize) {}
 
     #[inline(always)]
-    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES] {
-        let mut numbers = [simd.bytes(&CacheLine::ZERO); TILES];
-        for (numbers, block) in numbers.iter_mut().zip(self.0) {
-            *numbers = simd.bytes(&block.numbers[step]);
-        }
-        numbers
+    fn step<S: Simd>(&self, simd: S, tile: usize, step: usize) -> S::Bytes {
+        simd.bytes(&self.0[tile].numbers[step])
     }
 }
 
@@ -253,12 +253,8 @@ impl<Q: Quantized> Numbers<Q> for PackedSpan<'_> {
     }
 
     #[inline(always)]
-    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES] {
-        let mut numbers = [simd.bytes(&CacheLine::ZERO); TILES];
-        for (numbers, lines) in numbers.iter_mut().zip(self.tiles) {
-            *numbers = Q::numbers(simd, lines, step);
-        }
-        numbers
+    fn step<S: Simd>(&self, simd: S, tile: usize, step: usize) -> S::Bytes {
+        Q::numbers(simd, self.tiles[tile], step)
     }
 }
 
@@ -275,52 +271,23 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     let (rows, _) = words.as_chunks::<ROWS>();
     let (activations, rest) = rows.split_at(STEPS);
     let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
-    // One function, so that these sums stay in registers over all runs. What depends on `Q` is
-    // decided at compile time.
+    // One function, so that these sums stay in registers over all runs. What depends on `Q` and `S`
+    // is decided at compile time.
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
     let steps = Q::RUN / 4;
-    for (run, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
-        numbers.begin(simd, run);
-        let mut products = [[simd.ints(0); TILES]; ROWS];
-        if Q::MINIMA == Minima::None {
-            for (products, word) in products.iter_mut().zip(&run_sums[run]) {
-                *products = [Q::start(simd, *word); TILES];
-            }
-        }
-        for (step, activations) in activations.iter().enumerate() {
-            let weights = numbers.step(simd, run * steps + step);
-            for (products, activations) in products.iter_mut().zip(activations) {
-                for (product, weights) in products.iter_mut().zip(weights) {
-                    *product = Q::dot(simd, *product, weights, *activations);
-                }
-            }
-        }
-        let mut weight_scales = [simd.floats(0.0); TILES];
-        for (scale, unpacked) in weight_scales.iter_mut().zip(unpacked) {
-            *scale = simd.load(&unpacked.runs[run]);
-        }
-        for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
-            for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales)
-            {
-                let product = simd.to_floats(product);
-                *span = if Q::SCALED == Q::RUN {
-                    let scale = simd.floats(float(scales[run][row]));
-                    simd.mul_add(simd.mul(product, scale), weight_scale, *span)
-                } else {
-                    simd.mul_add(product, weight_scale, *span)
-                };
-            }
-        }
-        if Q::MINIMA == Minima::Floats {
-            let mut minima = [simd.floats(0.0); TILES];
-            for (minimum, unpacked) in minima.iter_mut().zip(unpacked) {
-                *minimum = simd.load(&unpacked.float_minima[run]);
-            }
-            for (span, sum) in spans.iter_mut().zip(&run_sums[run]) {
-                let sum = simd.floats(float(*sum));
-                for (span, minimum) in span.iter_mut().zip(minima) {
-                    *span = simd.mul_add(minimum, sum, *span);
-                }
+    for (index, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
+        numbers.begin(simd, index);
+        let run = Run {
+            index,
+            activations,
+            sums: run_sums,
+            scales,
+        };
+        if const { take_all_tiles::<S, ROWS>() } {
+            add_run::<Q, S, N, ROWS, TILES>(simd, unpacked, numbers, &run, 0, &mut spans);
+        } else {
+            for tile in 0..TILES {
+                add_run::<Q, S, N, ROWS, 1>(simd, unpacked, numbers, &run, tile, &mut spans);
             }
         }
     }
@@ -355,6 +322,112 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
         });
         for (sum, span) in sums.iter_mut().zip(span) {
             simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
+        }
+    }
+}
+
+/// Numbers that share a scale, with all rows.
+struct Run<'a, const ROWS: usize> {
+    index: usize,
+    /// Of this run alone, one word of each row a step.
+    activations: &'a [[i32; ROWS]],
+    /// Words of activation sums, of the whole span.
+    sums: &'a [[i32; ROWS]],
+    /// Scales of the activations, of the whole span.
+    scales: &'a [[i32; ROWS]],
+}
+
+impl<const ROWS: usize> Run<'_, ROWS> {
+    /// What the products of part `part` are added to. It is found at the begin and at the end of
+    /// the part, and each instruction set needs it at one of them: it takes no register between.
+    #[inline(always)]
+    fn before<Q: Quantized, S: Simd>(
+        &self,
+        simd: S,
+        part: usize,
+        row: usize,
+        products: S::Ints,
+    ) -> S::Ints {
+        if part == 0 && Q::MINIMA == Minima::None {
+            Q::start(simd, self.sums[self.index][row])
+        } else {
+            products
+        }
+    }
+}
+
+/// Steps whose products fit in a sum of bytes.
+const fn steps_at_once<Q: Quantized, S: Simd>() -> usize {
+    let of_a_step = 2 * Q::LARGEST * MAX_MAGNITUDE as i32;
+    let (fitting, steps) = ((S::LARGEST_SUM / of_a_step) as usize, Q::RUN / 4);
+    if fitting < steps { fitting } else { steps }
+}
+
+/// Adds the products of a run with `AT_ONCE` tiles, from tile `first` on, to the sums of a span.
+#[inline(always)]
+fn add_run<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize, const AT_ONCE: usize>(
+    simd: S,
+    unpacked: [&Scales; TILES],
+    numbers: &N,
+    run: &Run<'_, ROWS>,
+    first: usize,
+    spans: &mut [[S::Floats; TILES]; ROWS],
+) {
+    let mut products = [[simd.ints(0); AT_ONCE]; ROWS];
+    let at_once = const { steps_at_once::<Q, S>() };
+    let mut step = run.index * (Q::RUN / 4);
+    for (part, activations) in run.activations.chunks(at_once).enumerate() {
+        let mut sums = [[simd.begin_dots(simd.ints(0)); AT_ONCE]; ROWS];
+        for (row, (sums, products)) in sums.iter_mut().zip(&products).enumerate() {
+            for (sum, product) in sums.iter_mut().zip(products) {
+                *sum = simd.begin_dots(run.before::<Q, S>(simd, part, row, *product));
+            }
+        }
+        for activations in activations {
+            let mut weights = [simd.bytes(&CacheLine::ZERO); AT_ONCE];
+            for (tile, weights) in (first..).zip(&mut weights) {
+                *weights = numbers.step(simd, tile, step);
+            }
+            for (sums, activations) in sums.iter_mut().zip(activations) {
+                for (sum, weights) in sums.iter_mut().zip(weights) {
+                    *sum = Q::dot(simd, *sum, weights, *activations);
+                }
+            }
+            step += 1;
+        }
+        for (row, (products, sums)) in products.iter_mut().zip(sums).enumerate() {
+            for (product, sum) in products.iter_mut().zip(sums) {
+                *product = simd.end_dots(run.before::<Q, S>(simd, part, row, *product), sum);
+            }
+        }
+    }
+    let tiles = first..first + AT_ONCE;
+    let mut weight_scales = [simd.floats(0.0); AT_ONCE];
+    for (scale, unpacked) in weight_scales.iter_mut().zip(&unpacked[tiles.clone()]) {
+        *scale = simd.load(&unpacked.runs[run.index]);
+    }
+    for (row, (spans, products)) in spans.iter_mut().zip(products).enumerate() {
+        let spans = spans[tiles.clone()].iter_mut();
+        for ((span, product), weight_scale) in spans.zip(products).zip(weight_scales) {
+            let product = simd.to_floats(product);
+            *span = if Q::SCALED == Q::RUN {
+                let scale = simd.floats(float(run.scales[run.index][row]));
+                simd.mul_add(simd.mul(product, scale), weight_scale, *span)
+            } else {
+                simd.mul_add(product, weight_scale, *span)
+            };
+        }
+    }
+    if Q::MINIMA == Minima::Floats {
+        let mut minima = [simd.floats(0.0); AT_ONCE];
+        for (minimum, unpacked) in minima.iter_mut().zip(&unpacked[tiles.clone()]) {
+            *minimum = simd.load(&unpacked.float_minima[run.index]);
+        }
+        for (spans, sum) in spans.iter_mut().zip(&run.sums[run.index]) {
+            let sum = simd.floats(float(*sum));
+            for (span, minimum) in spans[tiles.clone()].iter_mut().zip(minima) {
+                *span = simd.mul_add(minimum, sum, *span);
+            }
         }
     }
 }

@@ -2,7 +2,10 @@
 
 use super::super::line::CacheLine;
 use super::super::simd::Simd;
-use super::{Minima, Quantized, SPAN, SUMMED, Scales, correction, float, run_sum, with_fifth_bit};
+use super::{
+    LARGEST_BIASED, Minima, Quantized, SPAN, SUMMED, Scales, correction, float, run_sum,
+    with_fifth_bit,
+};
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
@@ -15,6 +18,7 @@ impl Quantized for Q8_0 {
     const SUM_WORDS: usize = 8;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = 32;
+    const LARGEST: i32 = LARGEST_BIASED;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -47,7 +51,7 @@ impl Quantized for Q8_0 {
     }
 
     #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+    fn dot<S: Simd>(simd: S, sum: S::ByteSums, weights: S::Bytes, activations: i32) -> S::ByteSums {
         simd.dot_biased(sum, weights, activations)
     }
 }
@@ -87,6 +91,7 @@ impl<const FIFTH: usize, const MINIMUM: bool> Quantized for FewBits<FIFTH, MINIM
         Minima::None
     };
     const SCALED: usize = 32;
+    const LARGEST: i32 = (16 << FIFTH) - 1;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], scales: &[i32], index: usize) -> i32 {

@@ -3,7 +3,7 @@
 use super::super::line::{CacheLine, LANES};
 use super::super::simd::Simd;
 use super::super::stored_format::{IQ4, MXFP4, MXFP4_BIAS};
-use super::{Minima, Q4_0, Quantized, SPAN, SUMMED, Scales, correction};
+use super::{LARGEST_BIASED, Minima, Q4_0, Quantized, SPAN, SUMMED, Scales, correction};
 
 /// A table for byte products, which take 128 more than a number.
 const fn biased(table: &[i8; 16]) -> [u8; 16] {
@@ -31,6 +31,7 @@ impl Quantized for Iq4Nl {
     const SUM_WORDS: usize = 8;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = 32;
+    const LARGEST: i32 = LARGEST_BIASED;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -53,7 +54,7 @@ impl Quantized for Iq4Nl {
     }
 
     #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+    fn dot<S: Simd>(simd: S, sum: S::ByteSums, weights: S::Bytes, activations: i32) -> S::ByteSums {
         simd.dot_biased(sum, weights, activations)
     }
 }
@@ -74,6 +75,7 @@ impl Quantized for Iq4Xs {
     const SUM_WORDS: usize = 8;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = SPAN;
+    const LARGEST: i32 = LARGEST_BIASED;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -116,7 +118,7 @@ impl Quantized for Iq4Xs {
     }
 
     #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+    fn dot<S: Simd>(simd: S, sum: S::ByteSums, weights: S::Bytes, activations: i32) -> S::ByteSums {
         simd.dot_biased(sum, weights, activations)
     }
 }
@@ -143,6 +145,7 @@ impl Quantized for Mxfp4 {
     const SUM_WORDS: usize = 8;
     const MINIMA: Minima = Minima::None;
     const SCALED: usize = 32;
+    const LARGEST: i32 = LARGEST_BIASED;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
@@ -180,7 +183,7 @@ impl Quantized for Mxfp4 {
     }
 
     #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+    fn dot<S: Simd>(simd: S, sum: S::ByteSums, weights: S::Bytes, activations: i32) -> S::ByteSums {
         simd.dot_biased(sum, weights, activations)
     }
 }

@@ -58,7 +58,10 @@ impl Simd for Avx2 {
     type Ints = Ints;
     type Floats = Floats;
     type Bytes = Ints;
+    /// 16 lanes of two i16, each the sum of half of the products.
+    type ByteSums = Ints;
     const REGISTERS: usize = 8;
+    const LARGEST_SUM: i32 = i16::MAX as i32;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
@@ -82,10 +85,12 @@ impl Simd for Avx2 {
             _mm256_shuffle_epi8(table, numbers)
         });
         ints(value: i32) -> Ints = [_mm256_set1_epi32(value); 2];
-        // Two products of a weight below 128 and a signed byte fit in 16 bits.
+        begin_dots(_sum: Ints) -> Ints = [_mm256_setzero_si256(); 2];
+        end_dots(sum: Ints, products: Ints) -> Ints = both_of_three(sum, products, products, |sum, products, _| {
+            _mm256_add_epi32(sum, _mm256_madd_epi16(products, _mm256_set1_epi16(1)))
+        });
         dot(sum: Ints, weights: Ints, activations: i32) -> Ints = both_of_three(sum, weights, weights, |sum, weights, _| {
-            let pairs = _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations));
-            _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
+            _mm256_add_epi16(sum, _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations)))
         });
         biased_start(_correction: i32) -> Ints = [_mm256_setzero_si256(); 2];
         // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the
@@ -94,8 +99,7 @@ impl Simd for Avx2 {
             both_of_three(sum, weights, weights, |sum, weights, _| {
                 let signed = _mm256_xor_si256(weights, _mm256_set1_epi8(i8::MIN));
                 let turned = _mm256_sign_epi8(_mm256_set1_epi32(activations), signed);
-                let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(signed), turned);
-                _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
+                _mm256_add_epi16(sum, _mm256_maddubs_epi16(_mm256_abs_epi8(signed), turned))
             });
         dot_pairs(sum: Ints, weights: Ints, activations: i32) -> Ints =
             both_of_three(sum, weights, weights, |sum, weights, _| {

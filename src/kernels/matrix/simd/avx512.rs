@@ -32,7 +32,9 @@ impl Simd for Avx512 {
     type Ints = __m512i;
     type Floats = __m512;
     type Bytes = __m512i;
+    type ByteSums = __m512i;
     const REGISTERS: usize = 32;
+    const LARGEST_SUM: i32 = i32::MAX;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
@@ -106,6 +108,16 @@ impl Simd for Avx512 {
                 _mm512_and_si512(shifted, _mm512_set1_epi8(MASK.cast_signed())),
             )
         }
+    }
+
+    #[inline(always)]
+    fn begin_dots(self, sum: __m512i) -> __m512i {
+        sum
+    }
+
+    #[inline(always)]
+    fn end_dots(self, _: __m512i, products: __m512i) -> __m512i {
+        products
     }
 
     // The weights are 128 too large here, which the correction makes up for.

@@ -25,6 +25,7 @@ mod avx512;
 mod neon;
 mod portable;
 
+use super::format::MAX_BATCH;
 use super::line::{CacheLine, LANES};
 
 /// Operations on sixteen lanes. A value of an implementing type exists only where the CPU has the
@@ -39,9 +40,16 @@ pub trait Simd: Copy + Send + Sync {
     type Floats: Copy;
     /// 16 lanes of four bytes.
     type Bytes: Copy;
+    /// Sums of byte products that continue an [`Self::Ints`]: of any number where a lane is an i32,
+    /// else of a few ([`Self::LARGEST_SUM`]).
+    type ByteSums: Copy;
 
     /// f32 vectors that fit in the registers; limits how many sums a kernel keeps at once.
     const REGISTERS: usize;
+    /// Rows of activations in a batch. Each number of rows up to it has code of its own.
+    const BATCH: usize = MAX_BATCH;
+    /// Largest magnitude of a sum of byte products in [`Self::ByteSums`].
+    const LARGEST_SUM: i32;
 
     /// Runs a kernel in a function that enables the instructions.
     fn run<K: Kernel>(self, kernel: K);
@@ -70,13 +78,22 @@ pub trait Simd: Copy + Send + Sync {
 
     /// The same number in every lane.
     fn ints(self, value: i32) -> Self::Ints;
+    /// Sums of byte products that continue `sum`.
+    fn begin_dots(self, sum: Self::Ints) -> Self::ByteSums;
+    /// `sum` with the byte products that were added since [`Self::begin_dots`] took it.
+    fn end_dots(self, sum: Self::Ints, products: Self::ByteSums) -> Self::Ints;
     /// sum + Σ weight · activation over the four bytes of each lane, for weights below 128.
-    fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
+    fn dot(self, sum: Self::ByteSums, weights: Self::Bytes, activations: i32) -> Self::ByteSums;
     /// The value that a sum by [`Self::dot_biased`] starts from; `correction` is −128 times the
     /// sum of all its activations.
     fn biased_start(self, correction: i32) -> Self::Ints;
     /// sum + Σ (weight − 128) · activation over the four bytes of each lane.
-    fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
+    fn dot_biased(
+        self,
+        sum: Self::ByteSums,
+        weights: Self::Bytes,
+        activations: i32,
+    ) -> Self::ByteSums;
     /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an
     /// `i32`.
     fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints;
@@ -219,6 +236,19 @@ impl Instructions {
     #[inline]
     pub fn best() -> Self {
         Self::available().next().unwrap_or(Self::Portable)
+    }
+
+    /// Rows of activations in a batch.
+    pub(super) fn batch(self) -> usize {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => avx512::Avx512::BATCH,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => avx2::Avx2::BATCH,
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => neon::Neon::BATCH,
+            Self::Portable => portable::Portable::BATCH,
+        }
     }
 
     /// The name in tables.

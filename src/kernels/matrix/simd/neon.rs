@@ -173,7 +173,9 @@ impl Simd for Neon {
     type Ints = Ints;
     type Floats = Floats;
     type Bytes = Bytes;
+    type ByteSums = Ints;
     const REGISTERS: usize = 8;
+    const LARGEST_SUM: i32 = i32::MAX;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
@@ -192,6 +194,8 @@ impl Simd for Neon {
         lookup(numbers: Bytes, table: &[u8; 16]) -> Bytes =
             each(numbers, |numbers| vqtbl1q_u8(vld1q_u8(table.as_ptr()), numbers));
         ints(value: i32) -> Ints = [vdupq_n_s32(value); 4];
+        begin_dots(sum: Ints) -> Ints = sum;
+        end_dots(_sum: Ints, products: Ints) -> Ints = products;
         // Weights below 128 are the same signed and unsigned.
         dot(sum: Ints, weights: Bytes, activations: i32) -> Ints = each_of_two(sum, weights, |sum, weights| {
             signed_dot(sum, vreinterpretq_s8_u8(weights), vreinterpretq_s8_s32(vdupq_n_s32(activations)))

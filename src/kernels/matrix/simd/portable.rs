@@ -31,7 +31,10 @@ impl Simd for Portable {
     type Ints = [i32; LANES];
     type Floats = [f32; LANES];
     type Bytes = [u8; 64];
+    type ByteSums = [i32; LANES];
     const REGISTERS: usize = 8;
+    const BATCH: usize = 1;
+    const LARGEST_SUM: i32 = i32::MAX;
 
     #[inline]
     fn run<K: Kernel>(self, kernel: K) {
@@ -82,6 +85,16 @@ impl Simd for Portable {
     #[inline]
     fn ints(self, value: i32) -> [i32; LANES] {
         [value; LANES]
+    }
+
+    #[inline]
+    fn begin_dots(self, sum: [i32; LANES]) -> [i32; LANES] {
+        sum
+    }
+
+    #[inline]
+    fn end_dots(self, _: [i32; LANES], products: [i32; LANES]) -> [i32; LANES] {
+        products
     }
 
     #[inline]
