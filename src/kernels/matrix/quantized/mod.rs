@@ -338,8 +338,7 @@ struct Run<'a, const ROWS: usize> {
 }
 
 impl<const ROWS: usize> Run<'_, ROWS> {
-    /// What the products of part `part` are added to. It is found at the begin and at the end of
-    /// the part, and each instruction set needs it at one of them: it takes no register between.
+    /// What the products of part `part` are added to.
     #[inline(always)]
     fn before<Q: Quantized, S: Simd>(
         &self,
@@ -378,6 +377,8 @@ fn add_run<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize, const AT_ONC
     let mut step = run.index * (Q::RUN / 4);
     for (part, activations) in run.activations.chunks(at_once).enumerate() {
         let mut sums = [[simd.begin_dots(simd.ints(0)); AT_ONCE]; ROWS];
+        // What sums continue is found here and again at the end. Each instruction set needs it at
+        // one of the two, so it takes no register between them.
         for (row, (sums, products)) in sums.iter_mut().zip(&products).enumerate() {
             for (sum, product) in sums.iter_mut().zip(products) {
                 *sum = simd.begin_dots(run.before::<Q, S>(simd, part, row, *product));

@@ -194,8 +194,6 @@ impl Simd for Neon {
         lookup(numbers: Bytes, table: &[u8; 16]) -> Bytes =
             each(numbers, |numbers| vqtbl1q_u8(vld1q_u8(table.as_ptr()), numbers));
         ints(value: i32) -> Ints = [vdupq_n_s32(value); 4];
-        begin_dots(sum: Ints) -> Ints = sum;
-        end_dots(_sum: Ints, products: Ints) -> Ints = products;
         // Weights below 128 are the same signed and unsigned.
         dot(sum: Ints, weights: Bytes, activations: i32) -> Ints = each_of_two(sum, weights, |sum, weights| {
             signed_dot(sum, vreinterpretq_s8_u8(weights), vreinterpretq_s8_s32(vdupq_n_s32(activations)))
@@ -230,6 +228,16 @@ impl Simd for Neon {
         two_to_the(n: Floats) -> Floats = each(n, |n| {
             vreinterpretq_f32_s32(vshlq_n_s32::<23>(vaddq_s32(vcvtq_s32_f32(n), vdupq_n_s32(127))))
         });
+    }
+
+    #[inline(always)]
+    fn begin_dots(self, sum: Ints) -> Ints {
+        sum
+    }
+
+    #[inline(always)]
+    fn end_dots(self, _: Ints, products: Ints) -> Ints {
+        products
     }
 
     #[inline(always)]
