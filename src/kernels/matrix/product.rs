@@ -73,8 +73,8 @@ fn multiply_as<F: Format>(
 ) {
     let inputs = tiles.inputs();
     let row_words = F::row_words(inputs);
-    let at_once = instructions.batch();
-    let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / at_once).max(1) * at_once;
+    let batch_rows = instructions.batch();
+    let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / batch_rows).max(1) * batch_rows;
     let threads = rayon::current_num_threads();
     if Awake::is_one_pass() {
         read_ahead::multiplied(tiles.lines(), prefetch);
@@ -90,19 +90,19 @@ fn multiply_as<F: Format>(
         };
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= enough;
         let pack = |batch: usize, words: &mut [i32]| {
-            let first = batch * at_once * inputs;
+            let first = batch * batch_rows * inputs;
             instructions.run(Pack::<F> {
                 inputs,
-                rows: &rows[first..rows.len().min(first + at_once * inputs)],
+                rows: &rows[first..rows.len().min(first + batch_rows * inputs)],
                 words,
                 format: PhantomData,
             });
         };
-        let words = if parallel && count > at_once {
-            in_parts(count * row_words, at_once * row_words, pack)
+        let words = if parallel && count > batch_rows {
+            in_parts(count * row_words, batch_rows * row_words, pack)
         } else {
             let mut words = vec![0; count * row_words];
-            let batches = words.chunks_mut(at_once * row_words).enumerate();
+            let batches = words.chunks_mut(batch_rows * row_words).enumerate();
             batches.for_each(|(batch, words)| pack(batch, words));
             words
         };
