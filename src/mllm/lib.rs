@@ -90,7 +90,7 @@ pub use local::{
     FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline,
     ModelWork,
 };
-pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
+pub use planagent_kernels::matrix::{Instructions, Matrix, UnknownWeightFormat, WeightFormat};
 pub use planagent_kernels::{Limits, Work};
 pub use registry::{
     Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,

@@ -4,13 +4,18 @@ use super::budget::{CallBudget, Layout};
 use planagent_mllm::{Limits, ModelOutline, Step, WeightFormat};
 use serde::Serialize;
 
-/// Share of the limit of 8-bit products that vision towers reach. This and the next two were fitted
-/// to `planagent bench` of the models in `docs/latency.md`.
+/// Share of the limit of 8-bit products that vision towers reach. This and the next three were
+/// fitted to `planagent bench` of the models in `docs/latency.md`.
 const ENCODE: f64 = 0.40;
+/// The same with AVX2: with its few registers, bytes of `q8_0` take the most instructions.
+const ENCODE_WITH_AVX2: f64 = 0.22;
 /// Share of the same limit that the tokens of a pass reach, the reading of weights apart.
 const PREFILL: f64 = 0.54;
 /// Share of a plain read at which a pass reads its weights.
 const DECODE: f64 = 0.62;
+
+/// The kernels of AVX2, as [`Limits::kernels`] names them.
+const AVX2: &str = "AVX2";
 
 /// Seconds of a planning call, by step. An estimate: shares of this machine's limits that other
 /// models reached.
@@ -46,8 +51,13 @@ impl CallEstimate {
         for step in budget.call_steps(layout, model.image_tokens) {
             pass.add(step, model.image_tokens);
         }
+        let encode = if limits.kernels == AVX2 {
+            ENCODE_WITH_AVX2
+        } else {
+            ENCODE
+        };
         Some(Self {
-            encode_s: model.work.image as f64 / (ENCODE * limits.operations_per_s),
+            encode_s: model.work.image as f64 / (encode * limits.operations_per_s),
             ..pass.sum
         })
     }
@@ -157,13 +167,17 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_pass_takes_its_products_and_its_reading() {
-        let limits = Limits {
-            kernels: "plain".into(),
+    fn limits(kernels: &str) -> Limits {
+        Limits {
+            kernels: kernels.into(),
             operations_per_s: 1e3,
             read_bytes_per_s: 1e4,
-        };
+        }
+    }
+
+    #[test]
+    fn a_pass_takes_its_products_and_its_reading() {
+        let limits = limits("plain");
         let budget = CallBudget {
             prefix: 7,
             scene: 4,
@@ -195,5 +209,25 @@ mod tests {
             CallEstimate::new(&model(10), WeightFormat::F16, &budget, &limits),
             None
         );
+    }
+    #[test]
+    #[cfg(target_arch = "x86_64")]
+    fn kernels_decide_what_a_picture_takes() {
+        assert_eq!(planagent_mllm::Instructions::Avx2.name(), AVX2);
+        let budget = CallBudget {
+            prefix: 0,
+            scene: 0,
+            feedback: 0,
+            rounds: Vec::new(),
+            rethinks: 0,
+            accepted: None,
+        };
+        let encode = |kernels| {
+            let limits = limits(kernels);
+            CallEstimate::new(&model(10), WeightFormat::Q4K, &budget, &limits)
+                .map(|all| all.encode_s)
+        };
+        assert_eq!(encode(AVX2), Some(39_000.0 / (ENCODE_WITH_AVX2 * 1e3)));
+        assert_eq!(encode("plain"), Some(39_000.0 / (ENCODE * 1e3)));
     }
 }

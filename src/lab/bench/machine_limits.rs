@@ -1,7 +1,7 @@
 //! The limits of this machine, kept once they are measured.
 
 use planagent_files::{cache_folder, write_whole};
-use planagent_mllm::Limits;
+use planagent_mllm::{Instructions, Limits};
 use planagent_runs::runner::cpu;
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -70,7 +70,8 @@ fn path() -> Option<PathBuf> {
     cache_folder().map(|folder| folder.join("limits.json"))
 }
 
-/// Kept limits of this processor and number of threads. What cannot be read is measured again.
+/// Kept limits of this processor, its kernels and number of threads. What cannot be read is measured
+/// again.
 fn read(path: &Path) -> Option<Limits> {
     let text = planagent_files::read_text(path, MAX_BYTES).ok()?;
     let kept: Kept = serde_json::from_str(&text).ok()?;
@@ -78,6 +79,8 @@ fn read(path: &Path) -> Option<Limits> {
     let same = kept.measurement == MEASUREMENT
         && kept.processor == cpu()
         && kept.threads == rayon::current_num_threads()
+        // Processors of several generations have one name in virtual machines.
+        && kept.limits.kernels == Instructions::best().name()
         && is_usable(kept.limits.operations_per_s)
         && is_usable(kept.limits.read_bytes_per_s);
     same.then_some(kept.limits)
@@ -100,12 +103,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kept_limits_are_those_of_the_same_processor_and_threads() {
+    fn kept_limits_are_those_of_the_same_processor_kernels_and_threads() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cache/limits.json");
         assert_eq!(read(&path), None);
         let limits = Limits {
-            kernels: "plain".into(),
+            kernels: Instructions::best().name().into(),
             operations_per_s: 1e12,
             read_bytes_per_s: 1e10,
         };
@@ -116,6 +119,7 @@ mod tests {
             ("\"measurement\":", "\"measurement\":9"),
             ("\"threads\":", "\"threads\":9"),
             ("\"processor\":\"", "\"processor\":\"another "),
+            ("\"kernels\":\"", "\"kernels\":\"other "),
             ("1000000000000.0", "-1.0"),
             ("{", "["),
         ] {
