@@ -182,6 +182,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,lfm2-vl-450m,qwen3.5-0.8b,qwen3-vl-2b \
+         --quantize q4_k --calls brief --warm-up 1 --iterations 2",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights qwen3-vl-2b --quantize q4_k --calls brief --image-size 448,1024 --iterations 2",
         HOURS,
     ),

@@ -88,6 +88,44 @@ fn every_named_source_exists() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// The modules that pages name between backticks, as `kernels::matrix`.
+#[test]
+fn every_named_module_exists() {
+    let sources = sources(&root().join("src"));
+    let modules: Vec<String> = sources
+        .iter()
+        .map(|file| name(&file.with_extension("")).replace('/', "::"))
+        .map(|module| format!("{}::", module.trim_end_matches("::mod")))
+        .collect();
+    let (mut wrong, mut checked) = (Vec::new(), 0);
+    for page in pages()
+        .iter()
+        .filter(|page| !page.ends_with("CHANGELOG.md"))
+    {
+        for (i, line) in without_blocks(&read(page)).lines().enumerate() {
+            for word in line.split('`').skip(1).step_by(2) {
+                let is_module = word.contains("::")
+                    && word
+                        .chars()
+                        .all(|c| c.is_ascii_lowercase() || c == '_' || c == ':');
+                if !is_module {
+                    continue;
+                }
+                checked += 1;
+                let part = format!("::{word}::");
+                if !modules.iter().any(|module| module.contains(&part)) {
+                    wrong.push(format!("{}:{}: no module {word}", name(page), i + 1));
+                }
+            }
+        }
+    }
+    assert!(
+        checked > 3 && wrong.is_empty(),
+        "{checked} modules\n{}",
+        wrong.join("\n")
+    );
+}
+
 /// The decisions that comments of the sources name, and those that no comment names.
 #[test]
 fn sources_name_decisions_that_exist_and_every_research_decision_is_named() {

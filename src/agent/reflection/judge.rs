@@ -1,4 +1,5 @@
-//! Scores plans by PDM's measure over a short horizon.
+//! Scores plans by PDM's measure over a short horizon. Why nothing of it is learned:
+//! docs/decisions/146-no-learned-judge.md.
 
 use super::overtake::OvertakeRules;
 use super::reach::{Compared, MIN_REACH, Reach, is_compared};

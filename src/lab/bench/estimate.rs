@@ -51,13 +51,9 @@ impl CallEstimate {
         for step in budget.call_steps(layout, model.image_tokens) {
             pass.add(step, model.image_tokens);
         }
-        let encode = if limits.kernels == AVX2 {
-            ENCODE_WITH_AVX2
-        } else {
-            ENCODE
-        };
+        let encode = encode_share(limits) * limits.operations_per_s;
         Some(Self {
-            encode_s: model.work.image as f64 / (encode * limits.operations_per_s),
+            encode_s: model.work.image as f64 / encode,
             ..pass.sum
         })
     }
@@ -65,6 +61,15 @@ impl CallEstimate {
     /// The whole call, seconds.
     pub fn seconds(self) -> f64 {
         self.encode_s + self.prefill_s + self.decode_s
+    }
+}
+
+/// The share of the limit of 8-bit products that vision towers reach with a machine's kernels.
+fn encode_share(limits: &Limits) -> f64 {
+    if limits.kernels == AVX2 {
+        ENCODE_WITH_AVX2
+    } else {
+        ENCODE
     }
 }
 
