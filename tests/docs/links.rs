@@ -53,36 +53,44 @@ fn every_relative_link_and_anchor_exists() {
     );
 }
 
-/// The sources, tests and examples that pages name between backticks.
-#[test]
-fn every_named_source_exists() {
-    let mut wrong = Vec::new();
+/// Words between backticks outside of blocks, with page and line.
+fn code_words() -> Vec<(String, String)> {
+    let mut found = Vec::new();
     for page in pages()
         .iter()
         .filter(|page| !page.ends_with("CHANGELOG.md"))
     {
         for (i, line) in without_blocks(&read(page)).lines().enumerate() {
-            for word in line.split('`').skip(1).step_by(2) {
-                let path = word.split("::").next().unwrap_or_default();
-                let is_path = [
-                    "src/",
-                    "tests/",
-                    "examples/",
-                    "studies/",
-                    "suites/",
-                    "prompts/",
-                    "benches/",
-                ]
-                .iter()
-                .any(|folder| path.starts_with(folder));
-                let is_plain = path
-                    .chars()
-                    .all(|c| c.is_ascii_alphanumeric() || "/_-.".contains(c));
-                let is_placeholder = path.contains("NAME");
-                if is_path && is_plain && !is_placeholder && !root().join(path).exists() {
-                    wrong.push(format!("{}:{}: no {path}", name(page), i + 1));
-                }
-            }
+            let words = line.split('`').skip(1).step_by(2);
+            let place = format!("{}:{}", name(page), i + 1);
+            found.extend(words.map(|word| (place.clone(), word.to_owned())));
+        }
+    }
+    found
+}
+
+/// The sources, tests and examples that pages name between backticks.
+#[test]
+fn every_named_source_exists() {
+    let folders = [
+        "src/",
+        "tests/",
+        "examples/",
+        "studies/",
+        "suites/",
+        "prompts/",
+        "benches/",
+    ];
+    let mut wrong = Vec::new();
+    for (place, word) in code_words() {
+        let path = word.split("::").next().unwrap_or_default();
+        let is_path = folders.iter().any(|folder| path.starts_with(folder));
+        let is_plain = path
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || "/_-.".contains(c));
+        let is_placeholder = path.contains("NAME");
+        if is_path && is_plain && !is_placeholder && !root().join(path).exists() {
+            wrong.push(format!("{place}: no {path}"));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -91,39 +99,22 @@ fn every_named_source_exists() {
 /// The modules that pages name between backticks, as `kernels::matrix`.
 #[test]
 fn every_named_module_exists() {
-    let sources = sources(&root().join("src"));
-    let modules: Vec<String> = sources
+    let modules: Vec<String> = sources(&root().join("src"))
         .iter()
         .map(|file| name(&file.with_extension("")).replace('/', "::"))
         .map(|module| format!("{}::", module.trim_end_matches("::mod")))
         .collect();
-    let (mut wrong, mut checked) = (Vec::new(), 0);
-    for page in pages()
-        .iter()
-        .filter(|page| !page.ends_with("CHANGELOG.md"))
-    {
-        for (i, line) in without_blocks(&read(page)).lines().enumerate() {
-            for word in line.split('`').skip(1).step_by(2) {
-                let is_module = word.contains("::")
-                    && word
-                        .chars()
-                        .all(|c| c.is_ascii_lowercase() || c == '_' || c == ':');
-                if !is_module {
-                    continue;
-                }
-                checked += 1;
-                let part = format!("::{word}::");
-                if !modules.iter().any(|module| module.contains(&part)) {
-                    wrong.push(format!("{}:{}: no module {word}", name(page), i + 1));
-                }
-            }
-        }
-    }
-    assert!(
-        checked > 3 && wrong.is_empty(),
-        "{checked} modules\n{}",
-        wrong.join("\n")
-    );
+    let mut words = code_words();
+    words.retain(|(_, word)| {
+        let mut chars = word.chars();
+        word.contains("::") && chars.all(|c| c.is_ascii_lowercase() || c == '_' || c == ':')
+    });
+    let exists = |word: &str| {
+        let part = format!("::{word}::");
+        modules.iter().any(|module| module.contains(&part))
+    };
+    let wrong: Vec<_> = words.iter().filter(|(_, word)| !exists(word)).collect();
+    assert!(words.len() > 3 && wrong.is_empty(), "{wrong:?}");
 }
 
 /// The decisions that comments of the sources name, and those that no comment names.

@@ -64,7 +64,8 @@ impl CallEstimate {
     }
 }
 
-/// The share of the limit of 8-bit products that vision towers reach with a machine's kernels.
+/// The share of the limit of 8-bit products that vision towers reach with a machine's kernels. Only
+/// AVX-512 and AVX2 were measured; the others are taken to be like AVX-512.
 fn encode_share(limits: &Limits) -> f64 {
     if limits.kernels == AVX2 {
         ENCODE_WITH_AVX2
@@ -215,6 +216,7 @@ mod tests {
             None
         );
     }
+
     #[test]
     #[cfg(target_arch = "x86_64")]
     fn kernels_decide_what_a_picture_takes() {
