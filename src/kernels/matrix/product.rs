@@ -24,6 +24,10 @@ const MAX_PACKED_BYTES: usize = 2 << 20;
 /// half of a first-level cache of 48 KiB, which two quantized spans fill, or one of floats.
 const MAX_UNPACKED_BYTES: usize = 24 << 10;
 
+/// Numbers of rows that have code of their own. Each takes seconds to compile, in every format and for
+/// every instruction set.
+const ROWS_AT_ONCE: [usize; 4] = [1, 2, 4, MAX_BATCH];
+
 /// Maximum rows that are multiplied with weights as they are stored: four batches.
 /// Why: docs/decisions/141-few-rows-as-stored.md.
 const MAX_PACKED_ROWS: usize = 24;
@@ -89,6 +93,7 @@ fn multiply_as<F: Format>(
             MIN_PARALLEL_PRODUCTS
         };
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= enough;
+        let room = with_padding(count, batch_rows) * row_words;
         let pack = |batch: usize, words: &mut [i32]| {
             let first = batch * batch_rows * inputs;
             instructions.run(Pack::<F> {
@@ -99,9 +104,9 @@ fn multiply_as<F: Format>(
             });
         };
         let words = if parallel && count > batch_rows {
-            in_parts(count * row_words, batch_rows * row_words, pack)
+            in_parts(room, batch_rows * row_words, pack)
         } else {
-            let mut words = vec![0; count * row_words];
+            let mut words = vec![0; room];
             let batches = words.chunks_mut(batch_rows * row_words).enumerate();
             batches.for_each(|(batch, words)| pack(batch, words));
             words
@@ -114,6 +119,7 @@ fn multiply_as<F: Format>(
                 words: &words,
                 row_words,
                 row: index * chunk,
+                rows: count,
                 first,
                 out,
                 format: PhantomData,
@@ -147,7 +153,17 @@ impl Kernel for Prefetch {
     }
 }
 
-/// Packs the rows of a batch.
+/// Rows of whole batches. Rows of zeros fill the last one up to a number that has code of its own.
+fn with_padding(rows: usize, batch_rows: usize) -> usize {
+    let last = rows % batch_rows;
+    let filled = ROWS_AT_ONCE.into_iter().find(|at_once| *at_once >= last);
+    match last {
+        0 => rows,
+        last => rows - last + filled.unwrap_or(batch_rows),
+    }
+}
+
+/// Packs the rows of a batch. The words of rows that are missing are zeros and stay so.
 struct Pack<'a, F> {
     inputs: usize,
     rows: &'a [f32],
@@ -159,12 +175,13 @@ impl<F: Format> Kernel for Pack<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let count = self.rows.len() / self.inputs;
+        let filled = self.words.len() / F::row_words(self.inputs);
         let mut padded = vec![0.0; F::SPAN];
-        let mut packed = vec![0; count * F::WORDS];
+        let mut packed = vec![0; filled * F::WORDS];
         // Span by span, since the words of all rows alternate within one.
-        let spans = self.words.chunks_mut(count * F::WORDS).enumerate();
+        let spans = self.words.chunks_mut(filled * F::WORDS).enumerate();
         for (span, words) in spans {
-            for (row, packed) in packed.chunks_exact_mut(F::WORDS).enumerate() {
+            for (row, packed) in packed.chunks_exact_mut(F::WORDS).enumerate().take(count) {
                 let values = &self.rows[row * self.inputs + span * F::SPAN..];
                 // The piece that is packed next lies elsewhere.
                 let next = if row + 1 < count {
@@ -184,11 +201,11 @@ impl<F: Format> Kernel for Pack<'_, F> {
                     F::pack(simd, &padded, packed);
                 }
             }
-            if count == MAX_BATCH {
+            if filled == MAX_BATCH {
                 alternate::<MAX_BATCH>(&packed, F::WORDS, words);
             } else {
                 for (row, packed) in packed.chunks_exact(F::WORDS).enumerate() {
-                    for (word, packed) in words[row..].iter_mut().step_by(count).zip(packed) {
+                    for (word, packed) in words[row..].iter_mut().step_by(filled).zip(packed) {
                         *word = *packed;
                     }
                 }
@@ -221,6 +238,8 @@ struct Product<'a, F> {
     row_words: usize,
     /// Index of the first row in the result.
     row: usize,
+    /// Rows without those that fill the last batch.
+    rows: usize,
     /// Column of the first tile in the result.
     first: usize,
     out: &'a Columns<'a>,
@@ -259,9 +278,7 @@ impl<F: Format> Product<'_, F> {
                 match words.len() / self.row_words {
                     1 => self.multiply_pair::<S, 1>(simd, pair, words, scales, place),
                     2 => self.multiply_pair::<S, 2>(simd, pair, words, scales, place),
-                    3 => self.multiply_pair::<S, 3>(simd, pair, words, scales, place),
                     4 => self.multiply_pair::<S, 4>(simd, pair, words, scales, place),
-                    5 => self.multiply_pair::<S, 5>(simd, pair, words, scales, place),
                     _ => self.multiply_pair::<S, MAX_BATCH>(simd, pair, words, scales, place),
                 }
             }
@@ -304,18 +321,19 @@ impl<F: Format> Product<'_, F> {
             let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
             F::multiply_packed(simd, packed, scales, words, inputs, &mut sums);
         }
+        let rows = ROWS.min(self.row + self.rows - row);
         // SAFETY: only this thread writes the outputs of these tiles.
-        unsafe { self.out.write(simd, row, column, &mut sums) };
+        unsafe { self.out.write(simd, row, column, &mut sums[..rows]) };
     }
 
     /// Multiplies several batches, which share unpacked weights. Beside the products it prefetches what
     /// is unpacked next. Why: docs/decisions/142-weights-of-the-next-group.md.
     #[inline(always)]
-    fn run_unpacked<S: Simd>(&self, simd: S, rows: usize) {
+    fn run_unpacked<S: Simd>(&self, simd: S) {
         let spans = self.inputs.div_ceil(F::SPAN);
         let step = (MAX_UNPACKED_BYTES / size_of::<[F::Block; TILES]>()).clamp(1, spans);
         let mut blocks = vec![[F::zeros(), F::zeros()]; step];
-        let mut sums = vec![[[0.0; LANES]; TILES]; rows];
+        let mut sums = vec![[[0.0; LANES]; TILES]; self.words.len() / self.row_words];
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
             let column = self.first + index * COLUMNS;
@@ -345,10 +363,14 @@ impl<F: Format> Product<'_, F> {
                         multiply_batch::<F, S>(simd, blocks, &words[start..end], inputs, sums);
                     }
                     if group.end == spans {
-                        let row = self.row + batch * S::BATCH;
+                        let row = batch * S::BATCH;
+                        let rows = sums.len().min(self.rows - row);
                         // Written here, so that the stores overlap with the next batch.
                         // SAFETY: only this thread writes the outputs of these tiles.
-                        unsafe { self.out.write(simd, row, column, sums) };
+                        unsafe {
+                            self.out
+                                .write(simd, self.row + row, column, &mut sums[..rows]);
+                        }
                     }
                 }
             }
@@ -359,9 +381,10 @@ impl<F: Format> Product<'_, F> {
 impl<F: Format> Kernel for Product<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        match self.words.len() / self.row_words {
-            0..=MAX_PACKED_ROWS => self.run_packed(simd),
-            rows => self.run_unpacked(simd, rows),
+        if self.rows <= MAX_PACKED_ROWS {
+            self.run_packed(simd);
+        } else {
+            self.run_unpacked(simd);
         }
     }
 }
@@ -381,11 +404,7 @@ fn multiply_batch<F: Format, S: Simd>(
         }
     } else if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, inputs, sums);
-    } else if let Ok(sums) = <&mut [TileSums; 5]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 4]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, inputs, sums);
-    } else if let Ok(sums) = <&mut [TileSums; 3]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 2]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, inputs, sums);
