@@ -4,8 +4,8 @@ use crate::road::{Road, cruise, ego, object, rectangle, straight};
 use planagent_score::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
 use planagent_world::geometry::{Point, Pose, Vector};
 use planagent_world::{
-    EgoState, LaneId, LaneMap, MapBuilder, ObjectKind, SignalStatus, TrackToken, TrackedObject,
-    TrafficLights,
+    EgoState, LaneAreas, LaneId, LaneMap, MapBuilder, Neighbor, ObjectKind, SignalStatus,
+    TrackToken, TrackedObject, TrafficLights,
 };
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
@@ -218,6 +218,35 @@ fn areas_tell_lanes_road_and_route_apart() {
     };
     assert!(areas(-2.9, DrivableLayers::DrivableArea).1);
     assert_eq!([-1.0, -2.9, -3.2].map(judged), [false, false, true]);
+}
+
+#[test]
+fn a_lane_beside_the_route_is_no_oncoming_lane_where_areas_are_derived() {
+    let mut road = Road::default();
+    let own = road.lane((-100.0, 0.0), (400.0, 0.0));
+    let beside = road.lane((-100.0, 4.0), (400.0, 4.0));
+    road.lane((400.0, 8.0), (-100.0, 8.0));
+    road.parts.lanes[beside.index()].right.push(Neighbor {
+        lane: own,
+        from_s: 0.0,
+        to_s: 500.0,
+    });
+    let is_oncoming = |areas: LaneAreas, y: f64| {
+        let mut parts = road.parts.clone();
+        parts.lane_areas = areas;
+        let map = LaneMap::new(parts.with_roadblocks_as_road().with_dense_baselines()).unwrap();
+        let state = cruise(1, 0.0, y, 5.0).remove(0);
+        let center = state.center().position();
+        let route = BTreeSet::from([own]);
+        let around = DrivableMap::around(&map, &route, center, DrivableLayers::Lanes);
+        let as_by_pdm = around.areas_of(&state).oncoming;
+        let judged = around.judged_as_by_the_metric().areas_of(&state).oncoming;
+        (as_by_pdm, judged)
+    };
+    assert_eq!(is_oncoming(LaneAreas::Derived, 0.0), (false, false));
+    assert_eq!(is_oncoming(LaneAreas::Derived, 4.0), (true, false));
+    assert_eq!(is_oncoming(LaneAreas::Derived, 8.0), (true, true));
+    assert_eq!(is_oncoming(LaneAreas::Drawn, 4.0), (true, true));
 }
 
 /// A bend to the left of 30 m radius, then a straight on.

@@ -7,6 +7,7 @@ mod monitor;
 mod overtake;
 mod path;
 mod plan_builder;
+mod plan_paths;
 mod reach;
 mod report;
 mod ride;

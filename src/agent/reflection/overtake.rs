@@ -331,10 +331,10 @@ mod tests {
         assert!(near > 9.5 && hard > 3.5 && hard < 6.01, "{near} {hard}");
         let (nearer, hardest) = stops(lanes(1), 30.0);
         assert!(nearer > 0.5 && hardest > 5.9, "as soon as it may: {nearer}");
-        let (with_lane_beside, as_the_code) = stops(lanes(2), 42.0);
+        let (beside_a_lane, as_hard) = stops(lanes(2), 42.0);
         assert!(
-            with_lane_beside < 9.0 && as_the_code < 3.2,
-            "{with_lane_beside} {as_the_code}"
+            beside_a_lane > 9.5 && as_hard > 3.5 && as_hard < 6.01,
+            "{beside_a_lane} {as_hard}"
         );
     }
 

@@ -25,11 +25,24 @@ const SLOPE_BEND: f64 = 3.94;
 /// Lateral acceleration that a path accepts to end its decay where an earlier path does, m/s².
 /// Why: docs/decisions/124-lane-changes-go-on.md.
 const MAX_LATERAL_ACCEL: f64 = 2.5;
+/// Lateral accelerations of lane changes past what stands near, the gentlest first, m/s²: within
+/// nuPlan's bound of comfort.
+/// Why: docs/decisions/148-swerve-or-wait.md.
+pub(super) const SWERVES: [f64; 4] = [2.5, 3.0, 3.5, 4.0];
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
 /// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does
 /// not follow the lane.
 const MAX_SLOPE: f64 = 0.7;
+
+/// How quickly a path comes onto its line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Pace {
+    /// As a lane change in free traffic.
+    Usual,
+    /// With this lateral acceleration, m/s², if that is quicker.
+    Swerve(f64),
+}
 
 /// A path onto a centerline.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +67,7 @@ pub(super) fn onto_centerline(
     ego: &EgoState,
     centerline: &Polyline,
     (beside, length): (f64, f64),
-    settled: Option<Point>,
+    (settled, pace): (Option<Point>, Pace),
 ) -> Result<Approach, GeometryError> {
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
@@ -66,12 +79,16 @@ pub(super) fn onto_centerline(
     let shortest = MIN_DECAY
         .max(MIN_DECAY_OF_OFFSET * offset.abs())
         .max(decay_of_slope(offset, slope));
-    let usual = shortest.max(ego.speed() * seconds);
+    let at_lateral =
+        |accel: f64| ego.speed() * SETTLE_S.max((OFFSET_BEND * offset.abs() / accel).sqrt());
+    let (usual, quickest) = match pace {
+        Pace::Usual => (ego.speed() * seconds, at_lateral(MAX_LATERAL_ACCEL)),
+        Pace::Swerve(accel) => (at_lateral(accel), at_lateral(accel)),
+    };
+    let usual = usual.max(shortest);
     let decay = settled.map_or(usual, |settled| {
-        let comfortable =
-            ego.speed() * SETTLE_S.max((OFFSET_BEND * offset.abs() / MAX_LATERAL_ACCEL).sqrt());
         let rest = centerline.project(settled).s - foot.s;
-        usual.min(rest.max(comfortable).max(shortest))
+        usual.min(rest.max(quickest).max(shortest))
     });
     let settled = centerline.point_at(foot.s + decay);
     let lateral = quintic(offset, slope, decay);
@@ -144,7 +161,7 @@ mod tests {
     }
 
     fn path(ego: &EgoState, beside: f64, length: f64) -> Polyline {
-        onto_centerline(ego, &road(), (beside, length), None)
+        onto_centerline(ego, &road(), (beside, length), (None, Pace::Usual))
             .unwrap()
             .path
     }
@@ -152,8 +169,13 @@ mod tests {
     #[test]
     fn a_lane_change_that_is_planned_again_ends_where_it_would_have_ended() {
         let speed = 10.0;
-        let first =
-            onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), (0.0, 100.0), None).unwrap();
+        let first = onto_centerline(
+            &ego(0.0, 3.5, 0.0, speed),
+            &road(),
+            (0.0, 100.0),
+            (None, Pace::Usual),
+        )
+        .unwrap();
         let replanned = |settles: bool| {
             let (mut approach, mut x) = (first.clone(), 0.0);
             for _ in 0..6 {
@@ -166,7 +188,7 @@ mod tests {
                     &ego(pose.x, pose.y, pose.heading, speed),
                     &road(),
                     (0.0, 100.0),
-                    settled,
+                    (settled, Pace::Usual),
                 )
                 .unwrap();
             }

@@ -46,7 +46,8 @@ impl PlanBuilder {
             .map(|agent| agent.token);
         let path = centerline.path.clone();
         let plan = IdmPlan::new(scene, code, path, lead_agent, self)?;
-        Ok(Some(plan.at_blocked_lane(seen, centerline.name)))
+        let plan = plan.at_blocked_lane(seen, centerline.name);
+        Ok(Some(plan.swerving(seen, self.horizon_s)?))
     }
 
     /// The plan at the speed limit along a centerline.
@@ -96,7 +97,8 @@ impl PlanBuilder {
         };
         let bound_for = overtakes.or_else(beside).unwrap_or(graph.ego_lane());
         let plan = plan.extended(scene, bound_for.path.clone(), self.horizon_s)?;
-        Ok(plan.at_blocked_lane(seen, bound_for.name))
+        plan.at_blocked_lane(seen, bound_for.name)
+            .swerving(seen, self.horizon_s)
     }
 
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that

@@ -1,9 +1,9 @@
 //! The road of a roll-out: what the plan follows, and where it stops.
 
-use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP, WaitingPlace};
+use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP, STOP_DECEL};
 use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
-use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector};
+use planagent_world::geometry::{Corridor, OrientedBox, Point, Polyline, Pose, Vector};
 use planagent_world::{PACIFICA, STEP_S, SceneView, SignalStatus, TrackedObject};
 
 /// The lead object: arc length of its rear on the path, and its speed along the path.
@@ -189,14 +189,14 @@ fn before_obstacle(
     plan: &IdmPlan,
     path: &Polyline,
     scene: &SceneView<'_>,
-    place: WaitingPlace,
+    place: Point,
 ) -> (f64, f64) {
-    let stop_s = path.project(place.at).s;
+    let stop_s = path.project(place).s;
     let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
     let at_once = front + MIN_GAP;
     let half_square = scene.ego.velocity.x.max(0.0).powi(2) / 2.0;
     let needed = half_square / (stop_s - at_once).max(f64::MIN_POSITIVE);
-    let decel = plan.code.decel_max.max(needed.min(place.decel_max));
+    let decel = plan.code.decel_max.max(needed.min(STOP_DECEL));
     (stop_s.max(at_once + half_square / decel), decel)
 }
 

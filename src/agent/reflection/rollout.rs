@@ -1,14 +1,14 @@
 //! Rolls plans out: IDM along the path of the plan, behind the lead object.
 
-use super::path::onto_centerline;
+use super::path::{Pace, SWERVES};
 use super::plan_builder::PlanBuilder;
-use super::ride::{Bends, Ride, Smoothed};
+use super::plan_paths::PlanPaths;
+use super::ride::{Ride, Smoothed};
 use super::road::{LeadOnPath, Road};
-use super::shift::shift;
 use crate::environment::lane_graph::{OncomingLane, STANDING};
 use crate::environment::{CenterlineName, GraphedScene};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
-use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
+use planagent_score::pdm::SPEED_FRACTIONS;
 use planagent_world::dynamics::IdmParameters;
 use planagent_world::geometry::{Corridor, GeometryError, Point, Polyline, Pose};
 use planagent_world::{
@@ -27,10 +27,9 @@ const HEADWAY: f64 = 1.5;
 const STANDSTILL: f64 = 0.05;
 /// Steps between two searches for the lead object, as in PDM-Closed.
 pub(super) const LEAD_REFRESH: usize = 2;
-/// Deceleration of the stop, m/s²: the highest that a code may contain.
-const STOP_DECEL: f64 = DECELERATIONS[DECELERATIONS.len() - 1];
-/// Length of path beyond the end of the fastest roll-out, meters.
-const PATH_MARGIN: f64 = 30.0;
+/// Deceleration of the stop, and of braking for a waiting place at most, m/s²: the highest that a
+/// code may contain.
+pub(super) const STOP_DECEL: f64 = DECELERATIONS[DECELERATIONS.len() - 1];
 
 /// Which objects a plan follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -62,31 +61,18 @@ pub struct IdmPlan {
     leaves_blocked_lane: bool,
     /// The way past what blocks the ego's lane, where the plan takes it.
     oncoming: Option<Box<OncomingLane>>,
-    /// Where the ego waits in its lane before what it may pass.
-    pub(super) waiting_place: Option<WaitingPlace>,
-    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The
-    /// first is the code's, which keeps a distance from what stands at the edge of the lane.
-    paths: [Polyline; LATERAL_OFFSETS.len()],
-    /// Where the first path has come onto its line.
-    settled: Point,
-    /// The bends along the paths.
-    bends: Bends,
-}
-
-/// The place before an obstacle from which the ego can still leave its lane.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct WaitingPlace {
-    /// Where the front bumper stops, map frame.
-    pub(super) at: Point,
-    /// The hardest braking for it, m/s².
-    pub(super) decel_max: f64,
+    /// Where the front bumper stops before what the ego may pass, map frame: from there it can still
+    /// leave its lane.
+    pub(super) waiting_place: Option<Point>,
+    /// Its paths, from the ego's place when it was built.
+    paths: PlanPaths,
 }
 
 /// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
 /// PDM-Closed's proposals, or a hard stop. The first is the plan itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Version {
-    /// Index of its path in [`LATERAL_OFFSETS`].
+    /// Index of its path in [`planagent_score::pdm::LATERAL_OFFSETS`].
     path: usize,
     /// Its share of the desired speed.
     fraction: f64,
@@ -166,8 +152,8 @@ impl IdmPlan {
         lead_agent: Option<TrackToken>,
         builder: &PlanBuilder,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, &code, &lanes, builder.horizon_s, None)?;
-        let bends = bends(builder.ride, scene, &lanes, &paths);
+        let bound = (&code, &lanes, builder.ride);
+        let paths = PlanPaths::lay(scene, bound, builder.horizon_s, (None, Pace::Usual))?;
         Ok(Self {
             code,
             lanes,
@@ -178,8 +164,6 @@ impl IdmPlan {
             oncoming: None,
             waiting_place: None,
             paths,
-            settled,
-            bends,
         })
     }
 
@@ -199,28 +183,32 @@ impl IdmPlan {
         if !goes_on {
             return Ok(self);
         }
-        let (paths, settled) = lay_paths(
-            scene,
-            &self.code,
-            &self.lanes,
-            horizon_s,
-            Some(active.settled),
-        )?;
-        let bends = bends(self.ride, scene, &self.lanes, &paths);
-        Ok(Self {
-            paths,
-            settled,
-            bends,
-            ..self
-        })
+        let pace = match self.paths.pace {
+            Pace::Usual => active.paths.pace,
+            swerve @ Pace::Swerve(_) => swerve,
+        };
+        self.laid(scene, horizon_s, (Some(active.paths.settled), pace))
+    }
+
+    /// The same with paths from the ego's present place, onto their line at a place at the earliest
+    /// and at a pace.
+    fn laid(
+        self,
+        scene: &SceneView<'_>,
+        horizon_s: f64,
+        onto: (Option<Point>, Pace),
+    ) -> Result<Self, GeometryError> {
+        let bound = (&self.code, &self.lanes, self.ride);
+        let paths = PlanPaths::lay(scene, bound, horizon_s, onto)?;
+        Ok(Self { paths, ..self })
     }
 
     /// The same where something may block the ego's lane. A plan over the oncoming lane passes it.
     /// A plan in the ego's lane stops where the ego can still leave the lane, unless its path leads
-    /// past. Where only the oncoming lane does, it brakes for that place as hard as it must: who
-    /// stops nearer never passes. One that leaves the lane rides as IDM does: out of braking, a
-    /// gentle start comes too late to pass.
-    /// Why: docs/decisions/132-past-at-once.md, docs/decisions/144-wait-where-the-way-begins.md.
+    /// past, and brakes for that place as hard as it must: who stops nearer never passes. One that
+    /// leaves the lane rides as IDM does: out of braking, a gentle start comes too late to pass.
+    /// Why: docs/decisions/132-past-at-once.md, docs/decisions/144-wait-where-the-way-begins.md,
+    /// docs/decisions/148-swerve-or-wait.md.
     pub(super) fn at_blocked_lane(
         mut self,
         seen: GraphedScene<'_>,
@@ -232,16 +220,33 @@ impl IdmPlan {
         (self.oncoming, self.waiting_place) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
             CenterlineName::EgoLane => {
-                let stop_point = graph.stop_point().filter(|_| !self.leads_past(seen));
-                let decel_max = match graph.centerlines.as_slice() {
-                    [_] => STOP_DECEL,
-                    _ => self.code.decel_max,
-                };
-                (None, stop_point.map(|at| WaitingPlace { at, decel_max }))
+                let place = graph.stop_point().filter(|_| !self.leads_past(seen));
+                (None, place)
             }
             CenterlineName::LeftLane | CenterlineName::RightLane => (None, None),
         };
         self
+    }
+
+    /// The same, as quickly into the lane beside as it must to pass what blocks the ego's: by the
+    /// gentlest swerve that leads past. Unchanged where none does.
+    pub(super) fn swerving(
+        self,
+        seen: GraphedScene<'_>,
+        horizon_s: f64,
+    ) -> Result<Self, GeometryError> {
+        let changes_lanes = self.leaves_blocked_lane && self.oncoming.is_none();
+        if !changes_lanes || self.ride == Ride::Idm || self.leads_past(seen) {
+            return Ok(self);
+        }
+        for accel in SWERVES {
+            let pace = Pace::Swerve(accel);
+            let swerving = self.clone().laid(seen.scene, horizon_s, (None, pace))?;
+            if swerving.leads_past(seen) {
+                return Ok(swerving);
+            }
+        }
+        Ok(self)
     }
 
     /// Whether the path leads past all that blocks the ego's lane and past its lead agent, if that
@@ -311,20 +316,17 @@ impl IdmPlan {
         lanes: LanePath,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, &self.code, &lanes, horizon_s, Some(self.settled))?;
-        let bends = bends(self.ride, scene, &lanes, &paths);
-        Ok(Self {
+        let onto = (Some(self.paths.settled), self.paths.pace);
+        let plan = Self {
             lanes,
-            paths,
-            settled,
-            bends,
             ..self.clone()
-        })
+        };
+        plan.laid(scene, horizon_s, onto)
     }
 
     /// The path of the rear axle, from the ego's place when the plan was built.
     pub fn path(&self) -> &Polyline {
-        &self.paths[0]
+        self.paths.own()
     }
 
     /// The roll-out from the present state, `steps` steps of 0.1 s long. Other objects keep their
@@ -341,7 +343,7 @@ impl IdmPlan {
     ) -> Vec<(Version, Rollout)> {
         let roads = self
             .paths
-            .each_ref()
+            .each()
             .map(|path| Road::new(self, path, scene, steps));
         let along = |path| Version::along(path, self.ride_here());
         let versions = (0..roads.len()).flat_map(along).chain([Version::STOP]);
@@ -359,7 +361,7 @@ impl IdmPlan {
         scene: &SceneView<'_>,
         steps: usize,
     ) -> Rollout {
-        let path = self.paths.get(version.path).unwrap_or(self.path());
+        let path = self.paths.get(version.path);
         self.roll_out_along(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
@@ -410,9 +412,9 @@ impl IdmPlan {
             let accel = if target_velocity < STANDSTILL {
                 -decel_max
             } else if let Some(smoothed) = &mut smoothed {
-                smoothed.step(idm, &self.bends, (progress, speed), behind)
+                smoothed.step(idm, &self.paths.bends, (progress, speed), behind)
             } else {
-                let at_most = self.bends.acceleration(progress, speed);
+                let at_most = self.paths.bends.acceleration(progress, speed);
                 idm.acceleration(speed, behind).min(at_most)
             };
             // Explicit Euler with the old speed, as in PDM-Closed's own roll-outs.
@@ -422,41 +424,6 @@ impl IdmPlan {
             rollout.speeds.push(speed);
         }
         rollout
-    }
-}
-
-/// The paths of a plan from the present state on, long enough for its fastest roll-out, and where
-/// the first has come onto its line.
-fn lay_paths(
-    scene: &SceneView<'_>,
-    code: &PlannerCode,
-    lanes: &LanePath,
-    horizon_s: f64,
-    settled: Option<Point>,
-) -> Result<([Polyline; LATERAL_OFFSETS.len()], Point), GeometryError> {
-    let length = code.target_speed.max(scene.ego.speed()) * horizon_s + PATH_MARGIN;
-    let [on, right, left] = LATERAL_OFFSETS;
-    let on = on + shift(scene, lanes);
-    let [on, right, left] = [on, right, left]
-        .map(|beside| onto_centerline(scene.ego, &lanes.centerline, (beside, length), settled));
-    let on = on?;
-    Ok(([on.path, right?.path, left?.path], on.settled))
-}
-
-/// The bends of the followed lanes, from the ego on.
-fn bends(
-    ride: Ride,
-    scene: &SceneView<'_>,
-    lanes: &LanePath,
-    paths: &[Polyline; LATERAL_OFFSETS.len()],
-) -> Bends {
-    match ride {
-        Ride::Idm => Bends::default(),
-        Ride::Comfortable => {
-            let line = &lanes.centerline;
-            let here = line.project(scene.ego.rear_axle.position()).s;
-            Bends::along(line, here, paths[0].length())
-        }
     }
 }
 

@@ -61,6 +61,12 @@ pub(crate) struct RecordedLane {
     pub(crate) neighbors: Sides<Vec<Beside>>,
 }
 
+/// Sources list neighbors from one vertex of a line to another, and the stretch before the first
+/// vertex, after the last and between two neighbors is left out. A stretch up to this length counts
+/// as listed, meters: lanes have a vertex every half meter.
+/// Why: docs/decisions/147-lanes-beside-recorded-roads.md.
+const UNLISTED: f64 = 1.1;
+
 impl RecordedLane {
     pub(crate) fn length(&self) -> f64 {
         self.trace.line.length()
@@ -81,7 +87,26 @@ impl RecordedLane {
             })
             .collect();
         neighbors.sort_by(|a, b| a.from_s.total_cmp(&b.from_s).then(a.lane.cmp(&b.lane)));
+        close_gaps(&mut neighbors, self.length());
         neighbors
+    }
+}
+
+/// Lets the neighbors of a lane with this length meet where the list leaves out [`UNLISTED`] or
+/// less.
+fn close_gaps(neighbors: &mut [Neighbor], length: f64) {
+    let is_short = |from: f64, to: f64| to > from && to - from <= UNLISTED;
+    let mut listed_to = 0.0;
+    for place in 0..neighbors.len() {
+        let next = neighbors.get(place + 1).map_or(length, |next| next.from_s);
+        let one = &mut neighbors[place];
+        if is_short(listed_to, one.from_s) {
+            one.from_s = listed_to;
+        }
+        if is_short(one.to_s, next) {
+            one.to_s = next;
+        }
+        listed_to = one.to_s;
     }
 }
 
@@ -173,5 +198,56 @@ impl Joints {
             .filter(|(from, _)| *from == lane)
             .map(|(_, to)| *to)
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::trace::Place;
+
+    /// A lane to the east with a vertex every half meter.
+    fn lane(id: i64, y: f64, left: Vec<Beside>) -> RecordedLane {
+        let points: Vec<Place> = (0..=40)
+            .map(|i| Place::new(0.5 * f64::from(i), y, 0.0))
+            .collect();
+        let trace = Trace::from_points(id, &points, Vector::zeros());
+        RecordedLane {
+            id,
+            trace: trace.unwrap().unwrap(),
+            flagged: false,
+            speed_limit: None,
+            entries: vec![],
+            exits: vec![],
+            neighbors: Sides {
+                left,
+                right: vec![],
+            },
+        }
+    }
+
+    /// The stretches of a lane of 20 m beside which neighbors are listed.
+    fn listed(stretches: &[(f64, f64)]) -> Vec<(f64, f64)> {
+        let beside = stretches.iter().map(|&(from_s, to_s)| Beside {
+            lane: 1,
+            from_s,
+            to_s,
+        });
+        let lanes = [lane(0, 0.0, beside.collect()), lane(1, 3.5, vec![])];
+        let neighbors = lanes[0].neighbors_along(&lanes, Side::Left);
+        neighbors.iter().map(|n| (n.from_s, n.to_s)).collect()
+    }
+
+    #[test]
+    fn neighbors_meet_where_the_list_leaves_out_the_stretch_between_two_vertices() {
+        assert_eq!(
+            listed(&[(0.5, 7.5), (8.0, 19.0)]),
+            [(0.0, 8.0), (8.0, 20.0)]
+        );
+        assert_eq!(
+            listed(&[(3.0, 7.5), (12.0, 17.0)]),
+            [(3.0, 7.5), (12.0, 17.0)],
+            "nothing is beside the lane there"
+        );
     }
 }

@@ -133,8 +133,11 @@ impl EgoAreas {
 }
 
 /// A polygon of the drivable map.
+#[derive(Clone, Copy)]
 struct Area<'a> {
     polygon: &'a Polygon,
+    /// `None` for a car park.
+    lane: Option<LaneId>,
     on_route: bool,
 }
 
@@ -173,10 +176,12 @@ impl<'a> DrivableMap<'a> {
             .into_iter()
             .map(|id| Area {
                 polygon: &map[id].polygon,
+                lane: Some(id),
                 on_route: route_lanes.contains(&id),
             })
             .chain(carparks.map(|polygon| Area {
                 polygon,
+                lane: None,
                 on_route: false,
             }))
             .collect();
@@ -188,14 +193,16 @@ impl<'a> DrivableMap<'a> {
         }
     }
 
-    /// Judges as nuPlan's metric of the drivable area does, where the areas of lanes are derived.
-    /// All of nuPlan's drivable area counts, and a corner may be outside by its tolerance. Areas
+    /// Judges as nuPlan's metrics do, where the areas of lanes are derived. All of nuPlan's drivable
+    /// area counts, and a corner may be outside by its tolerance. A lane beside one of the route, in
+    /// its direction, counts as on the route: recordings end roadblocks in the middle of a road. Areas
     /// that the source draws stay as they are.
     #[must_use]
     pub fn judged_as_by_the_metric(self) -> Self {
         match self.map.lane_areas() {
             LaneAreas::Drawn => self,
             LaneAreas::Derived => Self {
+                areas: self.with_lanes_beside_the_route(),
                 layers: DrivableLayers::DrivableArea,
                 tolerance: MAX_DISTANCE_OUTSIDE,
                 ..self
@@ -203,19 +210,35 @@ impl<'a> DrivableMap<'a> {
         }
     }
 
+    fn with_lanes_beside_the_route(&self) -> Vec<Area<'a>> {
+        let route: BTreeSet<LaneId> = self
+            .areas
+            .iter()
+            .filter(|area| area.on_route)
+            .filter_map(|area| area.lane)
+            .collect();
+        let is_beside = |lane: LaneId| {
+            let lane = &self.map[lane];
+            let mut neighbors = lane.left.iter().chain(&lane.right);
+            neighbors.any(|neighbor| route.contains(&neighbor.lane))
+        };
+        self.areas
+            .iter()
+            .map(|&area| Area {
+                on_route: area.on_route || area.lane.is_some_and(is_beside),
+                ..area
+            })
+            .collect()
+    }
+
     /// The same with some lanes counted as lanes of the route: those on which the ego may pass
     /// something.
     #[must_use]
     pub(crate) fn allowing(&self, lanes: &[LaneId]) -> Self {
-        let is_allowed = |area: &Area<'a>| {
-            lanes
-                .iter()
-                .any(|&lane| std::ptr::eq(area.polygon, &raw const self.map[lane].polygon))
-        };
-        let areas = self.areas.iter();
-        let areas = areas.map(|area| Area {
-            polygon: area.polygon,
-            on_route: area.on_route || is_allowed(area),
+        let is_allowed = |lane: LaneId| lanes.contains(&lane);
+        let areas = self.areas.iter().map(|&area| Area {
+            on_route: area.on_route || area.lane.is_some_and(is_allowed),
+            ..area
         });
         Self {
             map: self.map,

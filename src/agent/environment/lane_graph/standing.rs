@@ -200,7 +200,7 @@ fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InS
     if one.moves() || one.object.kind.is_vulnerable() {
         return true;
     }
-    if one.object.kind != ObjectKind::Vehicle {
+    if one.object.kind != ObjectKind::Vehicle || !is_along(path, one) {
         return false;
     }
     let within = |from_s: f64, reach: f64| from_s > one.from_s && from_s - one.to_s <= reach;
@@ -225,8 +225,13 @@ fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InS
 /// Whether a vehicle stands as one in a queue does.
 fn is_aligned(path: &LanePath, one: &InStrip<'_>) -> bool {
     let foot = path.centerline.project(one.object.shape.center.position());
-    let turn = wrap_angle(foot.heading - one.object.shape.center.heading).abs();
-    one.object.kind == ObjectKind::Vehicle && turn <= ALIGNED.0 && foot.lateral.abs() <= ALIGNED.1
+    one.object.kind == ObjectKind::Vehicle && is_along(path, one) && foot.lateral.abs() <= ALIGNED.1
+}
+
+/// Whether an object stands along the lane, as who waits in it does.
+fn is_along(path: &LanePath, one: &InStrip<'_>) -> bool {
+    let foot = path.centerline.project(one.object.shape.center.position());
+    wrap_angle(foot.heading - one.object.shape.center.heading).abs() <= ALIGNED.0
 }
 
 /// Whether the ego fits between an object and an edge of the lane, and a plan keeps far enough from

@@ -82,6 +82,21 @@ fn what_stands_as_in_a_queue_blocks_the_lane_and_is_not_passed_against_traffic()
         None,
         "the first waits for one that moves"
     );
+    let crashed = pair(0.6).put(Vehicle, 40.0, 0.0, 0.0, 3.0);
+    assert!(
+        graph(&crashed).blocked.is_some(),
+        "who stands askew waits for nobody"
+    );
+}
+
+#[test]
+fn a_crashed_car_before_an_intersection_blocks_the_lane_and_a_waiting_one_does_not() {
+    let blocked = |turn: f64| {
+        let (crossing, _) = sketch::crossing(2, 1, 40.0, 8.0);
+        graph(&crossing.put(Vehicle, 32.0, 0.0, turn, 0.0)).blocked
+    };
+    assert_eq!(blocked(0.0), None);
+    assert!(blocked(0.5).is_some());
 }
 
 #[test]
