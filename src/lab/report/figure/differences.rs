@@ -3,7 +3,7 @@
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::report::{ChallengeResults, StudyResults, SuiteResults};
+use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::Study;
 
 /// Width of the picture, pixels; so are all lengths below.
@@ -16,11 +16,16 @@ const TOP: f64 = 70.0;
 const ROW: f64 = 26.0;
 
 pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) -> String {
+    // A row without a point would only take room; the table has it with its reason.
+    let has_point = |variant: &VariantResults| {
+        let mut all = variant.challenges.iter();
+        all.any(|result| result.difference.is_some() || result.paper_difference.is_some())
+    };
     let shown: Vec<_> = suite
         .variants
         .iter()
         .enumerate()
-        .filter(|(place, _)| *place != study.reference)
+        .filter(|(place, variant)| *place != study.reference && has_point(variant))
         .collect();
     let bottom = TOP + ROW * shown.len() as f64;
     let mut picture = Picture::new(WIDTH);

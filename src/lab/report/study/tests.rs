@@ -434,6 +434,21 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
 }
 
 #[test]
+fn a_figure_has_no_row_without_a_point() {
+    let study = find("main").unwrap();
+    let scores = simulated([Some(0.9), Some(0.8), Some(1.0), Some(0.9)]);
+    let mut variants = vec![scores; 3];
+    variants.resize(study.variants.len(), NOT_SIMULATED);
+    let results = StudyResults::new(&study, &[suite("recorded", variants)], None, 0, &[]);
+    let drawn = figures(&study, &results);
+    let (_, svg) = &drawn[0];
+    assert!(
+        svg.contains(">idm<") && !svg.contains("random-code"),
+        "{svg}"
+    );
+}
+
+#[test]
 fn orders_are_compared_with_reported_ones_where_planners_were_simulated() {
     let study = find("main").unwrap();
     // In the order of the study; the first three are log-replay, idm and pdm-closed.
