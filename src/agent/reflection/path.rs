@@ -40,7 +40,7 @@ const MAX_SLOPE: f64 = 0.7;
 pub(super) enum Pace {
     /// As a lane change in free traffic.
     Usual,
-    /// With this lateral acceleration, m/s², if that is quicker.
+    /// With this lateral acceleration, m/s².
     Swerve(f64),
 }
 

@@ -190,8 +190,7 @@ impl IdmPlan {
         self.laid(scene, horizon_s, (Some(active.paths.settled), pace))
     }
 
-    /// The same with paths from the ego's present place, onto their line at a place at the earliest
-    /// and at a pace.
+    /// The same with its paths laid again from the ego's present place.
     fn laid(
         self,
         scene: &SceneView<'_>,
