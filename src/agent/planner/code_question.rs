@@ -8,10 +8,11 @@ use crate::environment::{CenterlineName, GraphedScene};
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
 
-/// What a plan that leaves the ego's lane must score more than one that passes the obstacle within
-/// it.
-/// Why: docs/decisions/135-within-the-lane.md.
+/// What a plan that leaves the ego's lane must score more than one that stays in it and passes.
+/// Why: docs/decisions/135-within-the-lane.md, docs/decisions/149-a-cause-to-leave.md.
 const MIN_GAIN: f64 = 0.02;
+/// A lead agent this much slower than a code asks for is a cause to leave the lane, m/s.
+const SLOWER: f64 = 1.0;
 
 /// The planner codes of a planning call, and Reflection on their plans.
 pub(super) struct CodeQuestion<'a> {
@@ -80,10 +81,14 @@ impl Question for CodeQuestion<'_> {
 }
 
 impl CodeQuestion<'_> {
-    /// What a code scores in the ego's own lane where something stands in that and the plan leads
-    /// past within the lane. `None` elsewhere, and without a judge.
+    /// What a code scores in the ego's own lane, where nothing is a cause to leave that, or the plan
+    /// leads past what stands there. `None` elsewhere, and without a judge.
     fn score_within_lane(&self, code: PlannerCode) -> Result<Option<f64>, PlannerError> {
-        let Some(judge) = self.judge.filter(|_| self.seen.graph.is_obstructed()) else {
+        let is_obstructed = self.seen.graph.is_obstructed();
+        let judge = self
+            .judge
+            .filter(|_| is_obstructed || !self.has_cause_to_leave(code));
+        let Some(judge) = judge else {
             return Ok(None);
         };
         let code = PlannerCode {
@@ -92,10 +97,19 @@ impl CodeQuestion<'_> {
             ..code
         };
         let plan = self.state.builder.build(self.seen, code)?;
-        let Some(plan) = plan.filter(|plan| plan.leads_past(self.seen)) else {
+        let Some(plan) = plan.filter(|plan| !is_obstructed || plan.leads_past(self.seen)) else {
             return Ok(None);
         };
         Ok(Some(judge.reflect(&plan, self.thresholds.0)?.score))
+    }
+
+    /// Whether traffic in the ego's lane is slower than the code asks for, or a person may step into
+    /// the lane and stop there.
+    fn has_cause_to_leave(&self, code: PlannerCode) -> bool {
+        let GraphedScene { scene, graph } = self.seen;
+        let lead = graph.lead_agent(CenterlineName::EgoLane);
+        lead.is_some_and(|lead| lead.speed < code.target_speed - SLOWER)
+            || graph.has_person_near(scene)
     }
 }
 

@@ -53,11 +53,15 @@ pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
         .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
 }
 
-/// Codes that are tried where Reflection refused all of a call: the ego's lane from the limit down,
-/// and where something blocks it, the lanes beside at the limit. Behind moving traffic, a change
-/// into another lane comes near others more often than it helps.
-/// Why: docs/decisions/129-judged-handover.md.
+/// Codes that are tried where Reflection refused all of a call. Before a blocked lane that the ego
+/// can leave, the whole grid; elsewhere the ego's lane from the limit down, and where something
+/// blocks it, the lanes beside at the limit. Behind moving traffic, a change into another lane comes
+/// near others more often than it helps.
+/// Why: docs/decisions/129-judged-handover.md, docs/decisions/149-a-cause-to-leave.md.
 pub(super) fn further_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
+    if graph.stop_point().is_some() {
+        return grid_codes(graph);
+    }
     let own = moving().map(|fraction| (CenterlineName::EgoLane, fraction));
     let others = graph
         .centerlines
@@ -113,5 +117,35 @@ pub fn planner_code(
         target_speed: (fraction * graph.limit()).round(),
         accel_max,
         decel_max,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::DEFAULT_NODE_LENGTH;
+    use planagent_world::Scene;
+
+    /// The numbers of further codes and of the grid's, where a car stands ahead on the last of some
+    /// lanes.
+    fn numbers(lanes: usize, x: f64) -> (usize, usize) {
+        let scene = Scene::builder()
+            .lanes(lanes, [[-50.0, 0.0], [250.0, 0.0]])
+            .ego([0.0, -3.5 * (lanes - 1) as f64], 0.0, 8.0)
+            .vehicle([x, -3.5 * (lanes - 1) as f64], 0.0, 0.0)
+            .build()
+            .unwrap();
+        let graph = LaneGraph::build(&scene.view(), DEFAULT_NODE_LENGTH).unwrap();
+        (further_codes(&graph).len(), grid_codes(&graph).len())
+    }
+
+    #[test]
+    fn the_whole_grid_is_tried_where_the_ego_can_leave_a_blocked_lane() {
+        let (further, grid) = numbers(2, 40.0);
+        assert_eq!(further, grid);
+        for (lanes, x) in [(1, 40.0), (2, 200.0)] {
+            let (further, grid) = numbers(lanes, x);
+            assert!(further < 10 && grid > 10, "{lanes} {x}: {further} {grid}");
+        }
     }
 }

@@ -284,7 +284,7 @@ mod tests {
     use super::*;
     use crate::environment::DEFAULT_NODE_LENGTH;
     use planagent_world::geometry::Pose;
-    use planagent_world::{LaneId, Scene};
+    use planagent_world::{LaneId, ObjectKind, Scene};
 
     /// A code for the left lane.
     const LEAVES: &str = "Generate_IDM_Planner(c=left_lane, la=None, v0=15, acc=1.5, dec=3)";
@@ -306,13 +306,13 @@ mod tests {
         (agent.state.calls.pop().unwrap(), plan)
     }
 
-    /// What a plan for the left lane must score, where a car stands beside the middle of the ego's
-    /// lane.
-    fn needed_to_leave(beside: f64) -> f64 {
+    /// What a plan for the left lane must score, where an object 30 m ahead is beside the middle of
+    /// the ego's lane and drives along it.
+    fn needed_to_leave(kind: ObjectKind, beside: f64, speed: f64) -> f64 {
         let scene = Scene::builder()
             .lanes(2, [[-50.0, 0.0], [250.0, 0.0]])
             .ego([0.0, -3.5], 0.0, 8.0)
-            .vehicle([30.0, -3.5 + beside], 0.0, 0.0)
+            .object(kind, [30.0, -3.5 + beside], 0.0, speed)
             .build()
             .unwrap();
         let (call, _) = called(&scene, LEAVES, PlanAgentSettings::default());
@@ -320,19 +320,23 @@ mod tests {
     }
 
     #[test]
-    fn what_can_be_passed_within_the_lane_is_no_reason_to_leave_it() {
+    fn a_lane_is_left_for_what_blocks_it_or_is_slow_or_may_step_into_it() {
+        use ObjectKind::{Pedestrian, Vehicle};
         let usual = PlanAgentSettings::default()
             .reflection
             .lane_change_threshold;
-        assert!(needed_to_leave(-1.4) > 1.0);
-        assert!(
-            (needed_to_leave(0.0) - usual).abs() < 1e-9,
-            "it blocks the lane"
-        );
-        assert!(
-            (needed_to_leave(-3.0) - usual).abs() < 1e-9,
-            "it is beside the lane"
-        );
+        for (kind, beside, speed) in [
+            (Vehicle, 0.0, 0.0),
+            (Vehicle, 0.0, 1.0),
+            (Pedestrian, -3.0, 0.0),
+        ] {
+            let needed = needed_to_leave(kind, beside, speed);
+            assert!((needed - usual).abs() < 1e-9, "{kind} {speed}: {needed}");
+        }
+        for (kind, beside) in [(Vehicle, -1.4), (Vehicle, -3.0), (Pedestrian, -6.0)] {
+            let needed = needed_to_leave(kind, beside, 0.0);
+            assert!(needed > 1.0, "{kind} {beside}: {needed}");
+        }
     }
 
     /// The code that drives, and whether the model was asked for it, where the model keeps the right

@@ -4,7 +4,7 @@ use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP, STOP_DECEL};
 use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
 use planagent_world::geometry::{Corridor, OrientedBox, Point, Polyline, Pose, Vector};
-use planagent_world::{PACIFICA, STEP_S, SceneView, SignalStatus, TrackedObject};
+use planagent_world::{ObjectKind, PACIFICA, STEP_S, SceneView, SignalStatus, TrackedObject};
 
 /// The lead object: arc length of its rear on the path, and its speed along the path.
 #[derive(Debug, Clone, Copy)]
@@ -110,13 +110,26 @@ impl<'a> Road<'a> {
                 )
             }
         };
+        let after = |object: &TrackedObject, search: usize| {
+            moved(object, (search * LEAD_REFRESH) as f64 * STEP_S)
+        };
+        // A person who walks across may stop on the path, so who came onto it stays there.
+        let stays = |object: &TrackedObject| {
+            plan.expects_people_to_stop() && object.kind == ObjectKind::Pedestrian
+        };
         let on_path = |search: usize| {
-            let seconds = (search * LEAD_REFRESH) as f64 * STEP_S;
-            let moved = |object| (object, moved(object, seconds));
-            let objects = objects.iter().map(moved);
-            let objects = objects.filter(|(_, shape)| corridor.meets_box(shape));
-            let named = named.iter().map(moved);
+            let at = |object| {
+                let earliest = if stays(object) { 0 } else { search };
+                let shapes = (earliest..=search)
+                    .rev()
+                    .map(|search| after(object, search));
+                let mut on_path = shapes.filter(|shape| corridor.meets_box(shape));
+                on_path.next().map(|shape| (object, shape))
+            };
+            let named = named.iter().map(|object| (object, after(object, search)));
             objects
+                .iter()
+                .filter_map(at)
                 .chain(named)
                 .filter_map(|(object, shape)| place(path, object, &shape, start))
                 .collect()
@@ -214,4 +227,48 @@ fn red_light(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f
     });
     let start = red.map(|(_, &start)| start).next()?;
     Some(path.project(plan.lanes.centerline.point_at(start)).s)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
+    use crate::planner::fixed_code;
+    use crate::reflection::{LeadPolicy, PlanBuilder, Ride};
+    use planagent_world::{ObjectKind, Scene};
+    use std::f64::consts::FRAC_PI_2;
+
+    /// The speed after eight seconds of an ego at 8 m/s, where somebody has walked across its lane
+    /// by then.
+    fn speed_after(kind: ObjectKind, ride: Ride) -> f64 {
+        let scene = Scene::builder()
+            .speed_limit(8.0)
+            .lane([[-50.0, 0.0], [250.0, 0.0]])
+            .ego([0.0, 0.0], 0.0, 8.0)
+            .object(kind, [40.0, -9.0], FRAC_PI_2, 3.0)
+            .build()
+            .unwrap();
+        let view = scene.view();
+        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
+        let builder = PlanBuilder {
+            lead_policy: LeadPolicy::Nearest,
+            ride,
+            horizon_s: 8.0,
+        };
+        let plan = builder
+            .build(GraphedScene::new(&view, &graph), fixed_code(&graph))
+            .unwrap()
+            .unwrap();
+        plan.roll_out(&view, 80).speeds[80]
+    }
+
+    #[test]
+    fn a_comfortable_plan_waits_for_who_walks_across_and_the_papers_does_not() {
+        use ObjectKind::{Pedestrian, Vehicle};
+        let waits = speed_after(Pedestrian, Ride::Comfortable);
+        assert!(waits < 1.5, "{waits}");
+        for (kind, ride) in [(Pedestrian, Ride::Idm), (Vehicle, Ride::Comfortable)] {
+            let speed = speed_after(kind, ride);
+            assert!(speed > 5.0, "{kind} {ride:?}: {speed}");
+        }
+    }
 }

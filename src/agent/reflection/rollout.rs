@@ -290,6 +290,13 @@ impl IdmPlan {
         }
     }
 
+    /// Whether it follows who walked onto its path as if they stopped there, as a passenger would
+    /// expect. PDM-Closed's roll-outs, and the paper's, see people walk on.
+    /// Why: docs/decisions/149-a-cause-to-leave.md.
+    pub(super) fn expects_people_to_stop(&self) -> bool {
+        self.ride == Ride::Comfortable
+    }
+
     /// The way past what blocks the ego's lane, where the plan takes it.
     pub fn oncoming(&self) -> Option<&OncomingLane> {
         self.oncoming.as_deref()

@@ -145,6 +145,12 @@ impl LaneGraph {
         self.blocked.is_some() || self.lead_agent(CenterlineName::EgoLane).is_some_and(stands)
     }
 
+    /// Whether a person or a bicycle is ahead in the ego's lane or beside it, who may come into it
+    /// and stop there.
+    pub(crate) fn has_person_near(&self, scene: &SceneView<'_>) -> bool {
+        standing::has_person_near(scene, self.ego_lane())
+    }
+
     /// Where an ego that stays in its lane stops before what blocks it: where it can still leave
     /// the lane. `None` where the lane is free, or nothing leads past.
     pub fn stop_point(&self) -> Option<Point> {

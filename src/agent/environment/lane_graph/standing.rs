@@ -27,7 +27,8 @@ const JUNCTION: f64 = 15.0;
 /// A vehicle this near behind traffic waits for it, meters.
 /// Why: docs/decisions/115-past-what-stands.md.
 const QUEUE_GAP: f64 = 12.0;
-/// A person this near beside the lane's middle makes a vehicle wait, meters.
+/// A person this near beside the lane's middle makes a vehicle wait, and is a cause to leave the
+/// lane, meters.
 const PERSON_ASIDE: f64 = 4.0;
 /// A vehicle that stands straight in the middle of the lane: maximum angle (10 degrees) and
 /// distance from the middle, meters.
@@ -157,6 +158,15 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
         }
     }
     Some(stretch)
+}
+
+/// Whether a person or a bicycle is ahead of the ego in a lane or near it.
+pub(super) fn has_person_near(scene: &SceneView<'_>, lane: &Centerline) -> bool {
+    let mut people = scene.objects.iter().filter(|one| one.kind.is_vulnerable());
+    people.any(|person| {
+        let foot = lane.path.centerline.project(person.shape.center.position());
+        foot.lateral.abs() <= PERSON_ASIDE && (lane.ego_s..lane.ego_s + REACH).contains(&foot.s)
+    })
 }
 
 fn in_strip<'a>(path: &LanePath, object: &'a TrackedObject) -> InStrip<'a> {
