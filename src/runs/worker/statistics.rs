@@ -45,12 +45,15 @@ pub struct PairedDifference {
     pub low: f64,
     pub high: f64,
     pub pairs: usize,
+    /// Clusters that were drawn; of several sets, those of the largest.
+    #[serde(skip)]
+    pub clusters: usize,
 }
 
 impl PairedDifference {
-    /// Both ends in words. A single pair has no spread, so its interval is a dash.
+    /// Both ends in words. A single cluster has no spread, so its interval is a dash.
     pub fn interval(&self, number: impl Fn(f64) -> String) -> String {
-        if self.pairs > 1 {
+        if self.clusters > 1 {
             format!("{} to {}", number(self.low), number(self.high))
         } else {
             "-".to_owned()
@@ -94,6 +97,7 @@ impl Bootstrap {
             low: quantile(&means, outside)?,
             high: quantile(&means, 1.0 - outside)?,
             pairs,
+            clusters: sums.len(),
         })
     }
 }
@@ -129,6 +133,7 @@ impl Bootstrap {
             low: quantile(&means, outside)?,
             high: quantile(&means, 1.0 - outside)?,
             pairs: sets.iter().flatten().map(Vec::len).sum(),
+            clusters: sets.iter().map(Vec::len).max()?,
         })
     }
 }
@@ -214,10 +219,14 @@ mod tests {
     }
 
     #[test]
-    fn one_pair_has_no_interval_in_words() {
-        let words = |differences: &[f64]| interval(differences).interval(|end| end.to_string());
-        assert_eq!(words(&[2.0]), "-");
-        assert_eq!(words(&[2.0, 2.0]), "2 to 2");
+    fn one_cluster_has_no_interval_in_words() {
+        let words = |clusters: &[&[f64]]| {
+            let found = Bootstrap::default().clustered(clusters).unwrap();
+            found.interval(|end| end.to_string())
+        };
+        assert_eq!(words(&[&[2.0]]), "-");
+        assert_eq!(words(&[&[1.0, 2.0]]), "-");
+        assert_eq!(words(&[&[2.0], &[2.0]]), "2 to 2");
     }
 
     #[test]

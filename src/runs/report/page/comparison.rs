@@ -201,6 +201,7 @@ fn interval(values: &[f64]) -> Option<Interval> {
         low,
         high,
         pairs,
+        ..
     } = Bootstrap::default().difference(values)?;
     Some(Interval {
         mean,

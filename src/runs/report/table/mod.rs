@@ -334,6 +334,7 @@ pub(super) mod tests {
             low: -100.0,
             high: 75.25,
             pairs: 1200,
+            clusters: 1200,
         };
         let scores = |scenario_type: Option<&str>| ComparedScores {
             planners: planners.clone(),
