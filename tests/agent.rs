@@ -21,7 +21,8 @@ use planagent_planners::all_planners;
 use planagent_runs::worker::run::{AgentParts, SimulationTask, run};
 use planagent_scenario::{Scenario, generator};
 use planagent_score::pdm::PdmMemory;
-use planagent_world::{Route, SceneView};
+use planagent_world::geometry::{OrientedBox, Pose};
+use planagent_world::{ObjectKind, Route, SceneView, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the
@@ -627,6 +628,16 @@ fn a_run_gives_the_oracle_its_simulation() {
     assert!(simulation.score.value > 0.0);
 }
 
+/// A car at 3 m/s.
+fn slow_car(at: Pose) -> TrackedObject {
+    TrackedObject {
+        token: TrackToken(1),
+        kind: ObjectKind::Vehicle,
+        shape: OrientedBox::new(at, 4.5, 1.9),
+        velocity: at.direction() * 3.0,
+    }
+}
+
 #[test]
 fn a_lane_change_that_scores_too_little_does_not_begin() {
     let scenario = scenario("generated/changing_lane/4");
@@ -679,24 +690,29 @@ fn a_lane_change_that_scores_too_little_does_not_begin() {
             call.aborted_lane_change,
         )
     };
+    let own = graph.ego_lane();
+    let slow = [slow_car(own.path.centerline.pose_at(own.ego_s + 30.0))];
+    let behind_slow = SceneView {
+        objects: &slow,
+        ..free
+    };
     let changed = (
         lane(CenterlineName::LeftLane),
         1,
         Decision::Execute(0),
         None,
     );
-    assert_eq!(call(free, 0.0), changed);
-    // No plan scores 1.1: the code is executed in the ego's own lane.
-    assert_eq!(
-        call(free, 1.1),
-        (
-            lane(CenterlineName::EgoLane),
-            3,
-            Decision::Exhausted(0),
-            Some(0)
-        )
+    let stayed = (
+        lane(CenterlineName::EgoLane),
+        3,
+        Decision::Exhausted(0),
+        Some(0),
     );
+    assert_eq!(call(behind_slow, 0.0), changed);
+    // No plan scores 1.1: the code is executed in the ego's own lane.
+    assert_eq!(call(behind_slow, 1.1), stayed);
     assert_eq!(call(with_goal, 1.1), changed, "the goal is in that lane");
+    assert_eq!(call(free, 0.0), stayed, "without a cause");
 }
 
 #[test]

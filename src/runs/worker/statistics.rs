@@ -117,6 +117,7 @@ impl Bootstrap {
         let own = own.filter(|means| !means.is_empty())?;
         let mut means = Vec::with_capacity(self.resamples);
         for _ in 0..self.resamples {
+            // A draw from all clusters would give the larger set more weight.
             let drawn = sets.iter().map(|set| {
                 let places: Vec<usize> = (0..set.len())
                     .map(|_| below(&mut random, set.len()))
