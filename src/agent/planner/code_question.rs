@@ -8,10 +8,11 @@ use crate::environment::{CenterlineName, GraphedScene};
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
 
-/// What a plan that leaves the ego's lane must score more than one that stays in it and passes.
+/// What a plan that leaves the ego's lane must score more than the same code within it.
 /// Why: docs/decisions/135-within-the-lane.md, docs/decisions/149-a-cause-to-leave.md.
 const MIN_GAIN: f64 = 0.02;
 /// A lead agent this much slower than a code asks for is a cause to leave the lane, m/s.
+/// Why: docs/decisions/149-a-cause-to-leave.md.
 const SLOWER: f64 = 1.0;
 
 /// The planner codes of a planning call, and Reflection on their plans.
@@ -81,8 +82,8 @@ impl Question for CodeQuestion<'_> {
 }
 
 impl CodeQuestion<'_> {
-    /// What a code scores in the ego's own lane, where nothing is a cause to leave that, or the plan
-    /// leads past what stands there. `None` elsewhere, and without a judge.
+    /// What a code scores within the ego's lane, where that has no cause to be left or the plan
+    /// leads past what stands in it. `None` elsewhere, and without a judge.
     fn score_within_lane(&self, code: PlannerCode) -> Result<Option<f64>, PlannerError> {
         let is_obstructed = self.seen.graph.is_obstructed();
         let judge = self

@@ -306,8 +306,8 @@ mod tests {
         (agent.state.calls.pop().unwrap(), plan)
     }
 
-    /// What a plan for the left lane must score, where an object 30 m ahead is beside the middle of
-    /// the ego's lane and drives along it.
+    /// What a plan for the left lane must score, where an object 30 m ahead stands beside the middle
+    /// of the ego's lane, or moves along it.
     fn needed_to_leave(kind: ObjectKind, beside: f64, speed: f64) -> f64 {
         let scene = Scene::builder()
             .lanes(2, [[-50.0, 0.0], [250.0, 0.0]])

@@ -157,7 +157,7 @@ mod tests {
     use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
     use crate::reasoning::PlannerCode;
     use crate::reflection::{LeadPolicy, PlanBuilder, Rollout};
-    use planagent_world::{Scene, SceneBuilder};
+    use planagent_world::{ObjectKind, Scene, SceneBuilder};
     use std::f64::consts::FRAC_PI_2;
 
     const RADIUS: f64 = 12.0;
@@ -285,5 +285,24 @@ mod tests {
         let far = bend(9.0).vehicle([55.0, 0.0], 0.0, 0.0);
         let braking = accelerations(&roll_out(far, Ride::Comfortable, 9.0, 20));
         assert!(braking[0] > -0.3, "{braking:?}");
+    }
+
+    #[test]
+    fn a_comfortable_plan_waits_for_who_walks_across_and_the_papers_does_not() {
+        use ObjectKind::{Pedestrian, Vehicle};
+        // All have crossed the lane within eight seconds.
+        let speed_then = |kind, ride| {
+            let road = Scene::builder().lane([[-50.0, 0.0], [250.0, 0.0]]);
+            let crossed = road
+                .ego([0.0, 0.0], 0.0, 8.0)
+                .object(kind, [40.0, -9.0], FRAC_PI_2, 3.0);
+            roll_out(crossed, ride, 8.0, 80).speeds[80]
+        };
+        let waits = speed_then(Pedestrian, Ride::Comfortable);
+        assert!(waits < 1.5, "{waits}");
+        for (kind, ride) in [(Pedestrian, Ride::Idm), (Vehicle, Ride::Comfortable)] {
+            let speed = speed_then(kind, ride);
+            assert!(speed > 5.0, "{kind} {ride:?}: {speed}");
+        }
     }
 }

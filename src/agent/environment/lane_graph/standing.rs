@@ -162,11 +162,17 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
 
 /// Whether a person or a bicycle is ahead of the ego in a lane or near it.
 pub(super) fn has_person_near(scene: &SceneView<'_>, lane: &Centerline) -> bool {
-    let mut people = scene.objects.iter().filter(|one| one.kind.is_vulnerable());
-    people.any(|person| {
-        let foot = lane.path.centerline.project(person.shape.center.position());
-        foot.lateral.abs() <= PERSON_ASIDE && (lane.ego_s..lane.ego_s + REACH).contains(&foot.s)
-    })
+    let ahead = lane.ego_s..lane.ego_s + REACH;
+    people_near(scene, &lane.path.centerline).any(|s| ahead.contains(&s))
+}
+
+/// Arc lengths of the people and bicycles on a line or near it.
+fn people_near(scene: &SceneView<'_>, line: &Polyline) -> impl Iterator<Item = f64> {
+    let people = scene.objects.iter().filter(|one| one.kind.is_vulnerable());
+    people
+        .map(|person| line.project(person.shape.center.position()))
+        .filter(|foot| foot.lateral.abs() <= PERSON_ASIDE)
+        .map(|foot| foot.s)
 }
 
 fn in_strip<'a>(path: &LanePath, object: &'a TrackedObject) -> InStrip<'a> {
@@ -221,14 +227,7 @@ fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InS
     let behind_traffic = ahead
         .iter()
         .any(|next| next.waits && within(next.from_s, QUEUE_GAP));
-    let for_person = scene
-        .objects
-        .iter()
-        .filter(|object| object.kind.is_vulnerable())
-        .any(|person| {
-            let foot = path.centerline.project(person.shape.center.position());
-            foot.lateral.abs() <= PERSON_ASIDE && within(foot.s, QUEUE_GAP)
-        });
+    let for_person = people_near(scene, &path.centerline).any(|s| within(s, QUEUE_GAP));
     at_junction || behind_traffic || for_person
 }
 
