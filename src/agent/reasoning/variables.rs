@@ -93,7 +93,7 @@ mod tests {
         for set in ["brief", "paper"] {
             let prompts = PromptSet::open(set).unwrap();
             let text = feedback_text(&prompts, &refused).unwrap();
-            let words = "own lane leads past what stands";
+            let words = "own lane is no worse";
             assert!(
                 text.contains(words) && !text.contains("is needed"),
                 "{text}"
