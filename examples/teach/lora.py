@@ -31,8 +31,6 @@ PLACE = "<image>\n"
 LEGEND = re.compile(r" The picture shows it from above: .*? the longer, the faster\.")
 #: Label of a token that is not learned.
 IGNORED = -100
-#: Numbers of the base, which does not change; those of the adapter are of 32 bits.
-DTYPE = torch.bfloat16 if torch.cuda.is_available() else torch.float32
 #: Share of the steps in which the rate grows.
 WARM_UP = 0.05
 #: Seconds between two checkpoints.
@@ -53,18 +51,19 @@ class Chat:
     weight: float = 1.0
 
 
-def opened(path: str, attention: str):
-    """The model, what makes tokens of text, and what makes pixels of a picture."""
+def opened(path: str, attention: str, dtype: torch.dtype):
+    """The model, what makes tokens of text, and what makes pixels of a picture. The base has numbers of `dtype` and does
+    not change; those of the adapter are of 32 bits."""
     if path.endswith(".gguf"):
         folder, file = str(Path(path).parent), Path(path).name
         tokenizer = AutoTokenizer.from_pretrained(folder, gguf_file=file)
-        model = AutoModelForCausalLM.from_pretrained(folder, gguf_file=file, dtype=DTYPE, attn_implementation=attention)
+        model = AutoModelForCausalLM.from_pretrained(folder, gguf_file=file, dtype=dtype, attn_implementation=attention)
         return model, tokenizer, None
     if hasattr(AutoConfig.from_pretrained(path), "vision_config"):
         processor = AutoProcessor.from_pretrained(path)
-        model = AutoModelForImageTextToText.from_pretrained(path, dtype=DTYPE, attn_implementation=attention)
+        model = AutoModelForImageTextToText.from_pretrained(path, dtype=dtype, attn_implementation=attention)
         return model, processor.tokenizer, processor
-    model = AutoModelForCausalLM.from_pretrained(path, dtype=DTYPE, attn_implementation=attention)
+    model = AutoModelForCausalLM.from_pretrained(path, dtype=dtype, attn_implementation=attention)
     return model, AutoTokenizer.from_pretrained(path), None
 
 
@@ -117,7 +116,7 @@ def tokens(messages: list[dict], tokenizer, picture: Path | None) -> Chat:
     return Chat(ids, labels, picture)
 
 
-def batch(rows: list[Chat], processor, device: str) -> dict:
+def batch(rows: list[Chat], processor, device: str, dtype: torch.dtype) -> dict:
     """Chats side by side. What is added stands behind them, where a causal model cannot see it."""
     width = max(len(row.ids) for row in rows)
     pad = [(row, width - len(row.ids)) for row in rows]
@@ -130,12 +129,18 @@ def batch(rows: list[Chat], processor, device: str) -> dict:
         from PIL import Image
 
         pictures = [Image.open(row.picture) for row in rows]
-        made["pixel_values"] = processor.image_processor(pictures, return_tensors="pt")["pixel_values"].to(device, DTYPE)
+        made["pixel_values"] = processor.image_processor(pictures, return_tensors="pt")["pixel_values"].to(device, dtype)
     return made
 
 
-def loss_of(model, made: dict) -> torch.Tensor:
-    """Weighted mean cross entropy of the learned tokens. The output layer sees these alone, since its vocabulary is large."""
+def weight_of(rows: list[Chat]) -> float:
+    """Sum of the weights of all learned tokens."""
+    return max(1e-6, sum(row.weight * sum(label != IGNORED for label in row.labels[1:]) for row in rows))
+
+
+def loss_of(model, made: dict, weight: float) -> torch.Tensor:
+    """Weighted cross entropy of the learned tokens over a weight. The output layer sees these tokens alone, since its
+    vocabulary is large."""
     labels = made["labels"]
     inner = model.get_base_model()
     inputs = {key: value for key, value in made.items() if key not in ("labels", "weights")}
@@ -144,7 +149,7 @@ def loss_of(model, made: dict) -> torch.Tensor:
     logits = inner.lm_head(hidden[:, :-1][learned])
     losses = torch.nn.functional.cross_entropy(logits.float(), labels[:, 1:][learned], reduction="none")
     weights = made["weights"][:, None].expand(-1, learned.shape[1])[learned]
-    return (losses * weights).sum() / weights.sum().clamp_min(1e-6)
+    return (losses * weights).sum() / weight
 
 
 def batches(rows: list[Chat], size: int, seed: int, epoch: int) -> list[list[Chat]]:
@@ -159,11 +164,15 @@ def batches(rows: list[Chat], size: int, seed: int, epoch: int) -> list[list[Cha
     return [made[at] for at in torch.randperm(len(made), generator=random).tolist()]
 
 
-def merged(layer, x: torch.Tensor) -> torch.Tensor:
-    """A layer with its adapter, as one product: two narrow products more would read and write all activations again."""
-    base = layer.base_layer
-    change = layer.scaling["default"] * (layer.lora_B["default"].weight @ layer.lora_A["default"].weight)
-    return torch.nn.functional.linear(x, base.weight + change.to(base.weight.dtype), base.bias)
+def parts(rows: list[Chat], size: int) -> list[list[Chat]]:
+    return [rows[at : at + size] for at in range(0, len(rows), size)]
+
+
+def adapted(layer, x: torch.Tensor) -> torch.Tensor:
+    """A layer with its adapter, in the base's numbers: PEFT's own layer would make 32-bit copies of all activations."""
+    base, low, high = layer.base_layer, layer.lora_A["default"].weight, layer.lora_B["default"].weight
+    change = torch.nn.functional.linear(torch.nn.functional.linear(x, low.to(x.dtype)), high.to(x.dtype))
+    return torch.nn.functional.linear(x, base.weight, base.bias) + layer.scaling["default"] * change
 
 
 def rate_at(step: int, steps: int, rate: float) -> float:
@@ -174,12 +183,13 @@ def rate_at(step: int, steps: int, rate: float) -> float:
     return rate * 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
 
 
-def evaluated(model, rows: list[Chat], size: int, processor, device: str) -> float:
+def evaluated(model, rows: list[Chat], size: int, processor, device: str, dtype: torch.dtype) -> float:
     model.eval()
     with torch.no_grad():
-        losses = [loss_of(model, batch(rows[at : at + size], processor, device)).item() for at in range(0, len(rows), size)]
+        whole = weight_of(rows)
+        loss = sum(loss_of(model, batch(part, processor, device, dtype), whole).item() for part in parts(rows, size))
     model.train()
-    return sum(losses) / max(1, len(losses))
+    return loss
 
 
 def saved(model, out: Path) -> None:
@@ -200,14 +210,18 @@ def main() -> None:
     parser.add_argument("--states", type=int, help="chats to learn from, at most")
     parser.add_argument("--validation", type=int, default=200, help="chats to say the loss of, at most")
     parser.add_argument("--epochs", type=int, default=2)
-    parser.add_argument("--batch", type=int, default=32)
+    parser.add_argument("--batch", type=int, default=32, help="chats of a step")
+    parser.add_argument("--together", type=int, help="chats computed at a time: less memory, the same step (a GPU: all, else 4)")
+    parser.add_argument("--dtype", choices=["float32", "bfloat16"], help="numbers of the base; bfloat16 on a GPU, else float32")
     parser.add_argument("--rate", type=float, default=5e-4)
     parser.add_argument("--rank", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
     torch.manual_seed(chosen.seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    base, tokenizer, processor = opened(chosen.model, "sdpa")
+    together = chosen.together or (chosen.batch if device == "cuda" else 4)
+    dtype = getattr(torch, chosen.dtype or ("bfloat16" if device == "cuda" else "float32"))
+    base, tokenizer, processor = opened(chosen.model, "sdpa", dtype)
     train = chats(chosen.data, chosen.chats, "train", tokenizer, processor, chosen.states)
     validation = chats(chosen.data, chosen.chats, "validation", tokenizer, processor, chosen.validation)
     config = LoraConfig(
@@ -222,7 +236,7 @@ def main() -> None:
         set_peft_model_state_dict(model, load_file(chosen.from_adapter / "adapter_model.safetensors"))
     for module in model.modules():
         if isinstance(module, LoraLinear):
-            module.forward = types.MethodType(merged, module)
+            module.forward = types.MethodType(adapted, module)
     learned = [weight for weight in model.parameters() if weight.requires_grad]
     optimizer = torch.optim.AdamW(learned, lr=chosen.rate, weight_decay=0.0)
     per_epoch = math.ceil(len(train) / chosen.batch)
@@ -235,7 +249,7 @@ def main() -> None:
         set_peft_model_state_dict(model, state["adapter"])
         optimizer.load_state_dict(state["optimizer"])
     else:
-        before = evaluated(model, validation, chosen.batch, processor, device)
+        before = evaluated(model, validation, together, processor, device, dtype)
     print(f"{len(train)} chats, {sum(len(row.ids) for row in train)} tokens, {steps} steps; validation loss {before}", flush=True)
     began = last = time.monotonic()
     while step < steps:
@@ -243,14 +257,17 @@ def main() -> None:
         for rows in batches(train, chosen.batch, chosen.seed, epoch)[at:]:
             for group in optimizer.param_groups:
                 group["lr"] = rate_at(step, steps, chosen.rate)
-            loss = loss_of(model, batch(rows, processor, device))
-            loss.backward()
+            whole, loss = weight_of(rows), 0.0
+            for part in parts(rows, together):
+                share = loss_of(model, batch(part, processor, device, dtype), whole)
+                share.backward()
+                loss += share.item()
             torch.nn.utils.clip_grad_norm_(learned, 1.0)
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
             step += 1
             if step % 20 == 0:
-                history.append([step, round(loss.item(), 4)])
+                history.append([step, round(loss, 4)])
                 print(f"step {step} of {steps}: loss {history[-1][1]}, {time.monotonic() - began:.0f} s", flush=True)
             if time.monotonic() - last > CHECKPOINT_S:
                 last = time.monotonic()
@@ -266,7 +283,7 @@ def main() -> None:
                     },
                     checkpoint,
                 )
-    after = evaluated(model, validation, chosen.batch, processor, device)
+    after = evaluated(model, validation, together, processor, device, dtype)
     saved(model, chosen.out)
     report = {
         "arguments": {key: str(value) for key, value in vars(chosen).items()},
