@@ -1,7 +1,7 @@
 //! The form of the pages.
 
 use super::text::{without_blocks, without_code};
-use super::{docs, name, read, root};
+use super::{docs, markdown, name, read, root};
 use regex::Regex;
 
 /// More numbers in a sentence stand in a table.
@@ -64,4 +64,46 @@ fn the_readme_is_short() {
         .split_whitespace()
         .count();
     assert!(words <= MAX_README_WORDS, "README.md has {words} words");
+}
+
+#[test]
+fn rows_of_tables_have_the_cells_of_their_header_and_do_not_repeat_it() {
+    let folders = [
+        ".",
+        "docs",
+        "docs/cards",
+        "docs/decisions",
+        "models/nano",
+        "prompts",
+    ];
+    let mut wrong = Vec::new();
+    let mut rows = 0;
+    for page in folders
+        .iter()
+        .flat_map(|folder| markdown(&root().join(folder)))
+    {
+        let text = read(&page);
+        let lines: Vec<&str> = text.lines().collect();
+        for (header, below) in lines.windows(2).enumerate() {
+            let [head, rule] = below else { continue };
+            let is_rule = rule.starts_with('|') && rule.chars().all(|c| "|-: ".contains(c));
+            if !head.starts_with('|') || !is_rule {
+                continue;
+            }
+            let body = lines[header + 2..].iter();
+            for (i, row) in body.take_while(|row| row.starts_with('|')).enumerate() {
+                rows += 1;
+                if row == head || cells(row) != cells(head) {
+                    wrong.push(format!("{}:{}: {row}", name(&page), header + 3 + i));
+                }
+            }
+        }
+    }
+    assert!(rows > 1_000, "{rows} rows");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Cells of a row. A pipe behind a backslash belongs to its cell.
+fn cells(row: &str) -> usize {
+    row.replace(r"\|", "").matches('|').count() - 1
 }
