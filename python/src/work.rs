@@ -98,7 +98,8 @@ fn wanted() -> Outcome<usize> {
         .filter(|number| (1..=MAX_THREADS).contains(number))
         .ok_or_else(|| {
             Failure::argument(format!(
-                "{THREADS} is {text:?}; the number of threads must lie in 1 to {MAX_THREADS}"
+                "{THREADS} is \"{}\"; the number of threads must lie in 1 to {MAX_THREADS}",
+                text.display()
             ))
         })
 }

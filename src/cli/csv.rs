@@ -8,16 +8,19 @@ use serde_json::Value;
 /// Rows with a header of all their fields. Fields of fields have dotted names; lists are joined by
 /// spaces; null is empty.
 pub(super) fn csv_text(rows: &[impl Serialize]) -> anyhow::Result<String> {
-    let flat = rows
+    let rows = rows
         .iter()
-        .map(|row| Ok(flat(&json_value(row)?)))
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut header: Vec<&str> = Vec::new();
-    for (name, _) in flat.iter().flatten() {
-        if !header.contains(&name.as_str()) {
-            header.push(name);
-        }
-    }
+        .map(|row| Ok(json_value(row)?))
+        .collect::<anyhow::Result<Vec<Value>>>()?;
+    let mut all = Value::Null;
+    rows.iter().for_each(|row| join(&mut all, row));
+    let names: Vec<String> = if rows.is_empty() {
+        Vec::new()
+    } else {
+        flat(&all).into_iter().map(|(name, _)| name).collect()
+    };
+    let header: Vec<&str> = names.iter().map(String::as_str).collect();
+    let flat: Vec<_> = rows.iter().map(flat).collect();
     let mut writer = csv::Writer::from_writer(Vec::new());
     if !header.is_empty() {
         writer.write_record(&header)?;
@@ -31,6 +34,20 @@ pub(super) fn csv_text(rows: &[impl Serialize]) -> anyhow::Result<String> {
         writer.write_record(header.iter().map(cell))?;
     }
     Ok(String::from_utf8(writer.into_inner()?)?)
+}
+
+/// Adds the fields of a row to those of the rows before it. A field that is null in one row has the
+/// fields of the others.
+fn join(all: &mut Value, row: &Value) {
+    match (all, row) {
+        (Value::Object(all), Value::Object(row)) => {
+            for (name, value) in row {
+                join(all.entry(name.clone()).or_insert(Value::Null), value);
+            }
+        }
+        (all, row) if all.is_null() => *all = row.clone(),
+        _ => {}
+    }
 }
 
 /// The fields of a row in order.
@@ -109,6 +126,16 @@ mod tests {
             "id,score,by,error,d.n\n\"a,b\",0.5,x y,,\nc,,,,1\n"
         );
         assert_eq!(csv_text(&[Value::Null; 0]).unwrap(), "");
+        // The order of rows does not change the columns.
+        let (none, some) = (
+            json!({"a": 1, "d": null, "z": 2}),
+            json!({"a": 3, "d": {"low": 4}, "z": 5}),
+        );
+        assert_eq!(
+            csv_text(&[none.clone(), some.clone()]).unwrap(),
+            "a,d.low,z\n1,,2\n3,4,5\n"
+        );
+        assert_eq!(csv_text(&[some, none]).unwrap(), "a,d.low,z\n3,4,5\n1,,2\n");
     }
 
     #[test]

@@ -58,6 +58,38 @@ pub fn list(name: &str) -> Option<Vec<PairName>> {
     )
 }
 
+/// The pairs of the list [`TEST`].
+pub(crate) fn test() -> Vec<PairName> {
+    list(TEST).expect("the list of test pairs is built in")
+}
+
+/// So many pairs of a list, evenly of each kind.
+pub(crate) fn evenly(pairs: &[PairName], limit: usize) -> Vec<PairName> {
+    let of_kind = |kind: TwinKind| pairs.iter().copied().filter(move |pair| pair.kind == kind);
+    let kinds = TwinKind::ALL.len();
+    let of = TwinKind::ALL.into_iter().enumerate();
+    of.flat_map(|(place, kind)| {
+        of_kind(kind).take(limit / kinds + usize::from(place < limit % kinds))
+    })
+    .collect()
+}
+
+#[cfg(test)]
+#[test]
+fn twins_are_taken_evenly_from_the_kinds() {
+    let all = test();
+    for limit in [1, 4, 6, 10_000] {
+        let pairs = evenly(&all, limit);
+        assert_eq!(pairs.len(), limit.min(all.len()));
+        let of = |kind| pairs.iter().filter(|pair| pair.kind == kind).count();
+        let counts = TwinKind::ALL.map(of);
+        assert!(
+            counts.iter().max().unwrap() - counts.iter().min().unwrap() <= 1,
+            "{limit}: {counts:?}"
+        );
+    }
+}
+
 /// The pairs that were drawn, and what became of the candidates.
 #[derive(Debug, Clone, Default)]
 pub struct Drawn {

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Between the word and the seconds.
-const MARK: char = '@';
+pub(super) const MARK: char = '@';
 
 /// A start after the usual one, in iterations of 0.1 s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,6 +8,8 @@ use std::sync::Arc;
 #[cfg(feature = "argoverse2")]
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod argoverse2;
+#[cfg(any(feature = "womd", feature = "argoverse2", feature = "nuplan"))]
+mod folders;
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod generator;
 mod held;

@@ -3,11 +3,16 @@
 use super::split::Split;
 use super::{Contents, Scenario};
 use planagent_files::{path_of, word_of};
+use planagent_world::InteractionKind;
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Depth to which folders are searched for recordings; nuPlan's own tree needs
+/// `nuplan-v1.1/splits/mini`.
+pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
 /// Called with the number of finished steps and the number of all.
 pub type OnProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
@@ -310,6 +315,17 @@ pub enum ReaderError {
     Folder {
         path: PathBuf,
         source: std::io::Error,
+    },
+    #[error(
+        "'{name}' in '{word}' is no modification; name one of {}, or a file whose name ends in .toml (docs/modified.md)",
+        InteractionKind::ALL.map(InteractionKind::name).join(", ")
+    )]
+    UnknownModification { word: String, name: String },
+    #[error("'{start}' in '{word}' is no start; name seconds behind the '@', as {base}@3")]
+    UnknownStart {
+        word: String,
+        base: String,
+        start: String,
     },
     /// A file among others.
     #[error("{0}")]

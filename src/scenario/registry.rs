@@ -6,17 +6,19 @@
 #[cfg(feature = "argoverse2")]
 use super::argoverse2;
 use super::generator;
-use super::later_start::LaterStart;
-use super::modified::ModifiedName;
+use super::later_start::{self, LaterStart};
+use super::modified::{self, ModifiedName};
 #[cfg(feature = "nuplan")]
 use super::nuplan;
 use super::reader::{
-    DataRoots, OnProgress, ReaderError, ScenarioReader, ScenarioRef, absolute_path,
+    DataRoots, MAX_FOLDER_DEPTH, OnProgress, ReaderError, ScenarioReader, ScenarioRef,
+    absolute_path,
 };
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
-use planagent_files::{KIND_BYTES, TEXT, kind_of, path_of, word_of};
+use planagent_files::{KIND_BYTES, TEXT, kind_of, path_of};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::io::Read;
 use std::path::Path;
@@ -30,12 +32,12 @@ const READERS: &[BuildReader] = &[
     #[cfg(feature = "womd")]
     |_| Box::<womd::WomdReader>::default(),
     #[cfg(feature = "argoverse2")]
-    |_| Box::new(argoverse2::Argoverse2Reader),
+    |_| Box::<argoverse2::Argoverse2Reader>::default(),
     #[cfg(feature = "nuplan")]
     |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
 ];
 
-/// Where recordings lie in a folder of data from several sources.
+/// Where the test recordings lie in `$PLANAGENT_DATA`.
 pub const RECORDINGS: [&str; 3] = ["womd", "argoverse2/sensor", "argoverse2/motion_forecasting"];
 
 /// The readers of a program, with the maps and notes that they keep.
@@ -67,9 +69,9 @@ impl Readers {
     }
 
     /// All scenarios that a word of the command line names. They are those of the reader that takes
-    /// it, else those in the folders of [`RECORDINGS`] within the folder of that name, else those
-    /// that all readers find in it. With `@SECONDS` at the end they start that much later. With
-    /// `~NAME` or `~FILE.toml` they are modified.
+    /// it, else those that all readers find in the folder of that name and in the folders below.
+    /// With `@SECONDS` at the end they start that much later. With `~NAME` or `~FILE.toml` they are
+    /// modified.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         if let Some((base, name)) = ModifiedName::in_word(word) {
             let modification = name.read().map_err(ReaderError::new)?;
@@ -87,6 +89,9 @@ impl Readers {
                 .collect());
         }
         let path = &path_of(word);
+        if let Some(error) = self.wrong_mark(word) {
+            return Err(error);
+        }
         if let Some(reader) = self.reader_of(word) {
             return reader.list(word);
         }
@@ -100,16 +105,6 @@ impl Readers {
             });
         }
         let mut all = Vec::new();
-        let of_sources = RECORDINGS
-            .map(|folder| path.join(folder))
-            .into_iter()
-            .filter(|folder| folder.is_dir());
-        for folder in of_sources {
-            all.extend(self.find(&word_of(folder.as_os_str()))?);
-        }
-        if !all.is_empty() {
-            return Ok(all);
-        }
         let (mut looked_for, mut faults) = (Vec::new(), Vec::new());
         for reader in &self.readers {
             if let Some(files) = reader.looks_for() {
@@ -117,7 +112,7 @@ impl Readers {
                     Ok(found) => all.extend(found),
                     Err(error) => faults.push(error),
                 }
-                looked_for.push(format!("no {files}"));
+                looked_for.push(files);
             }
         }
         // Files of one source that cannot be read do not hide those of another.
@@ -128,14 +123,25 @@ impl Readers {
                     .map(|fault| ScenarioRef::unreadable(path, fault.to_string())),
             );
         } else if !faults.is_empty() {
-            return Err(faults.swap_remove(0));
+            // What was passed over may be what the user means.
+            let fault = faults.swap_remove(0);
+            let notes = self.take_notes();
+            return Err(if notes.is_empty() {
+                fault
+            } else {
+                ReaderError::Unreadable(format!("{fault}; {}", notes.join("; ")))
+            });
         }
         match all.first() {
-            None => Err(ReaderError::Empty {
-                path: path.to_owned(),
-                // What was passed over may be what the user means.
-                looked_for: looked_for.into_iter().chain(self.take_notes()).collect(),
-            }),
+            None => {
+                let looked_for = looked_for.join(", no ");
+                let files = format!("no {looked_for}, down to {MAX_FOLDER_DEPTH} folders below");
+                Err(ReaderError::Empty {
+                    path: path.to_owned(),
+                    // What was passed over may be what the user means.
+                    looked_for: std::iter::once(files).chain(self.take_notes()).collect(),
+                })
+            }
             Some(first) => match first.fault() {
                 Some(fault) if all.iter().all(|one| one.fault().is_some()) => {
                     Err(ReaderError::Unreadable(fault.to_owned()))
@@ -143,6 +149,27 @@ impl Readers {
                 _ => Ok(all),
             },
         }
+    }
+
+    /// What is wrong behind the last mark of a word whose beginning names scenarios.
+    fn wrong_mark(&self, word: &str) -> Option<ReaderError> {
+        let is_known = |base: &str| path_of(base).exists() || self.reader_of(base).is_some();
+        if path_of(word).exists() {
+            return None;
+        }
+        let own = |(base, name): (&str, &str)| (base.to_owned(), name.to_owned());
+        if let Some((base, name)) = word.rsplit_once(modified::MARK).map(own)
+            && is_known(&base)
+        {
+            let word = word.to_owned();
+            return Some(ReaderError::UnknownModification { word, name });
+        }
+        let (base, start) = word.rsplit_once(later_start::MARK).map(own)?;
+        is_known(&base).then(|| ReaderError::UnknownStart {
+            word: word.to_owned(),
+            base,
+            start,
+        })
     }
 
     /// The word by which the same scenarios are found from any working directory.
@@ -178,10 +205,15 @@ impl Readers {
 
     /// What a user should know about the data that was read since the last call.
     pub fn take_notes(&self) -> Vec<String> {
-        self.readers
+        let mut notes: Vec<String> = self
+            .readers
             .iter()
             .flat_map(|reader| reader.take_notes())
-            .collect()
+            .collect();
+        // Of a folder that cannot be listed, each reader has the same note.
+        let mut seen = BTreeSet::new();
+        notes.retain(|note| seen.insert(note.clone()));
+        notes
     }
 }
 
@@ -203,5 +235,40 @@ fn start_in(word: &str) -> Option<(&str, LaterStart)> {
 impl fmt::Debug for Readers {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Readers({})", self.readers.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planagent_files::word_of;
+
+    #[test]
+    fn a_wrong_end_of_a_word_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.tfrecord");
+        std::fs::write(&file, "").unwrap();
+        let readers = Readers::new(&DataRoots::default());
+        let base = word_of(file.as_os_str());
+        let said = |word: String| readers.find(&word).unwrap_err().to_string();
+        for base in [
+            base.as_str(),
+            "generated/changing_lane/3",
+            "log.db#0123456789abcdef",
+        ] {
+            let unknown = said(format!("{base}~jaywalker"));
+            let kind = "name one of low_traffic_density";
+            assert!(
+                unknown.starts_with("'jaywalker' in ") && unknown.contains(kind),
+                "{unknown}"
+            );
+        }
+        let start = said(format!("{base}@3s"));
+        assert!(
+            start.starts_with("'3s' in ") && start.contains("a.tfrecord@3"),
+            "{start}"
+        );
+        let missing = said("none.tfrecord@3s".to_owned());
+        assert!(missing.contains("there is no file or folder"), "{missing}");
     }
 }

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// The logs of a dataset of Argoverse 2.
 fn logs(dataset: &str) -> Result<Vec<PathBuf>, Missing> {
-    Ok(argoverse2::logs_in(&data(&format!("argoverse2/{dataset}"))?).unwrap())
+    Ok(argoverse2::logs_in(&data(&format!("argoverse2/{dataset}"))?, &mut Vec::new()).unwrap())
 }
 
 /// The words of the scenarios that a word names.

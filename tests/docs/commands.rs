@@ -279,6 +279,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/agents.md",
+        "planagent simulate --planner agent-driver --set language_agents.agent_driver.memory=agent_driver.json --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
         "planagent memory fill dilu --out dilu.json --scenarios 20 --model HuggingFaceTB/SmolLM2-135M-Instruct",
         WEIGHTS,
     ),

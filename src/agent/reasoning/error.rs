@@ -23,7 +23,7 @@ pub enum PromptError {
         path: PathBuf,
         source: Box<toml::de::Error>,
     },
-    #[error("prompt template {name} of set '{set}': {source}")]
+    #[error("prompt template {name}.jinja of set '{set}': {source}")]
     Template {
         set: String,
         name: &'static str,

@@ -14,6 +14,7 @@ mod fitting;
 mod grammar;
 mod history;
 mod instruction;
+mod known_variables;
 mod outputs;
 mod prompt_set;
 mod prompt_source;

@@ -1,6 +1,7 @@
 //! Prompt sets: folders of templates with a `set.toml`. Four of them are built in.
 
 use super::error::PromptError;
+use super::known_variables;
 use super::prompt_source::{PromptFiles, PromptPlace};
 use super::round::Round;
 use super::templates::Templates;
@@ -131,11 +132,21 @@ impl PromptSet {
         let mut hasher = blake3::Hasher::new();
         let all = || std::iter::once(files).chain(questions);
         all().for_each(|files| files.hash(&mut hasher));
-        let compile = |files: &PromptFiles| Templates::compile(&files.name, files.templates());
+        let compile = |files: &PromptFiles, set: Option<&str>| {
+            Templates::compile(&files.name, files.templates(), |template| {
+                Some(set.map_or_else(
+                    || known_variables::of_template(template),
+                    |set| known_variables::of_question(set, template),
+                ))
+            })
+        };
+        let questions = questions.iter().zip(QUESTION_SETS);
         Ok(Self {
             forms,
-            templates: compile(files)?,
-            questions: questions.iter().map(compile).collect::<Result<_, _>>()?,
+            templates: compile(files, None)?,
+            questions: questions
+                .map(|(files, set)| compile(files, Some(set)))
+                .collect::<Result<_, _>>()?,
             place: files.place.clone(),
             is_built_in: all().all(PromptFiles::is_built_in),
             blake3: hasher.finalize().to_hex().to_string(),
@@ -269,5 +280,31 @@ mod tests {
             !own.is_built_in() && own.place() == &PromptPlace::Folder(folder.path().to_owned())
         );
         assert_ne!(own.blake3(), PromptSet::open("paper").unwrap().blake3());
+        // Each file, before the first scene: a feedback that nobody needs yet, too.
+        for (name, text, said) in [
+            ("code", "x\n{{ centerline }}", "code.jinja of set"),
+            (
+                "code",
+                "x\n{{ centerline }}",
+                "line 2: there is no variable centerline",
+            ),
+            (
+                "feedback",
+                "{{ scene_text }}",
+                "there are code, score, threshold, parts, errors",
+            ),
+            (
+                "system",
+                "{{ ranges.v1 }}",
+                "no variable ranges.v1; there are function, legend, ranges.v0",
+            ),
+        ] {
+            let file = folder.path().join(format!("{name}.jinja"));
+            std::fs::write(&file, text).unwrap();
+            let error = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err();
+            assert!(error.to_string().contains(said), "{error}");
+            std::fs::write(&file, "{% for x in range(2) %}{{ x }}{% endfor %}").unwrap();
+            PromptSet::open(folder.path().to_str().unwrap()).unwrap();
+        }
     }
 }

@@ -20,7 +20,7 @@ impl QuestionPrompts {
     pub fn open(name: &str, texts: &[(&'static str, &'static str)]) -> Result<Self, PromptError> {
         let files = PromptFiles::find_or(name, texts)?;
         Ok(Self {
-            templates: Templates::compile(&files.name, files.templates())?,
+            templates: Templates::compile(&files.name, files.templates(), |_| None)?,
             digests: files.digests().into_iter().collect(),
         })
     }

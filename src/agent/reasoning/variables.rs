@@ -76,6 +76,7 @@ mod tests {
     use crate::environment::CenterlineName;
     use crate::environment::bev::Palette;
     use crate::reasoning::call_parser::ParseError;
+    use crate::reasoning::known_variables;
     use crate::reasoning::{PromptSet, feedback_text};
     use minijinja::value::ValueKind;
     use std::collections::BTreeMap;
@@ -173,6 +174,30 @@ mod tests {
                 [Some(last), None].map(|last| assist_question(scene, 0.414, last, false)),
             ),
         ]
+    }
+
+    #[test]
+    fn the_known_variables_are_those_of_the_contexts() {
+        for (template, [context, _]) in contexts() {
+            let mut found = BTreeMap::new();
+            variables("", &context, &mut found);
+            let known = match template {
+                "ask" => known_variables::of_question("ask", "question"),
+                "LLM-ASSIST's system" => known_variables::of_question("llm_assist_unc", "system"),
+                "LLM-ASSIST's question" => {
+                    known_variables::of_question("llm_assist_par", "question")
+                }
+                of_set => known_variables::of_template(of_set),
+            };
+            let known: Vec<&str> = known.to_vec();
+            let mut sorted = known.clone();
+            sorted.sort_unstable();
+            assert_eq!(
+                sorted,
+                found.keys().map(String::as_str).collect::<Vec<_>>(),
+                "{template}"
+            );
+        }
     }
 
     /// Names, types and examples of all values of a context; those of a map with its name before a

@@ -66,7 +66,14 @@ pub(super) struct GlobalArguments {
     #[arg(long, global = true, value_name = "KEY=VALUE", help_heading = GLOBAL)]
     pub(super) set: Vec<String>,
     /// Seed of all random numbers.
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true)]
+    // A configuration is TOML, whose integers have a sign.
+    #[arg(
+        long,
+        global = true,
+        help_heading = GLOBAL,
+        hide_short_help = true,
+        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64)
+    )]
     pub(super) seed: Option<u64>,
     /// Number of threads; 0 for one per core.
     #[arg(long, global = true, value_name = "N", help_heading = GLOBAL, hide_short_help = true)]

@@ -5,6 +5,7 @@ use super::model::ModelArguments;
 use crate::help;
 use crate::words::{count, path_word};
 use anyhow::bail;
+use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use planagent_lab::bench::protocol::Precision;
 #[cfg(feature = "learned")]
@@ -216,10 +217,10 @@ pub(crate) struct BenchArguments {
     )]
     pub(crate) random_weights: Vec<String>,
     /// Planning calls of each model before the measurement.
-    #[arg(long, value_name = "N", default_value_t = 1, hide_short_help = true)]
+    #[arg(long, value_name = "N", default_value_t = 1, hide_short_help = true, value_parser = calls())]
     pub(crate) warm_up: usize,
     /// Measured planning calls of each model.
-    #[arg(long, value_name = "N", default_value_t = 5)]
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = calls())]
     pub(crate) iterations: usize,
     /// Prompt sets whose planning calls are measured, separated by commas [default: that of the
     /// model].
@@ -317,4 +318,12 @@ pub(crate) struct BenchProcessArguments {
     pub(crate) candle: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
+}
+
+/// Maximum number of planning calls of a benchmark: days of the smallest model.
+const MAX_CALLS: u64 = 1_000_000;
+
+/// Reads a number of planning calls.
+fn calls() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(..=MAX_CALLS)
 }

@@ -7,8 +7,11 @@ use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_files::write_whole;
 use planagent_lab::memory::{Filled, Training, agents, fill_from_drives, fill_from_logs};
+use planagent_runs::report::check_own;
 use planagent_runs::runner::{Config, load_model};
 
+/// What the beginning of a memory has.
+const MEMORY_MARKS: [&str; 2] = ["\"format\":", "\"agent\":"];
 /// Most scenarios of a memory: those of a seed.
 const MAX_SCENARIOS: usize = 100_000;
 
@@ -30,6 +33,7 @@ pub(crate) fn run(
     }
     // Before the drives, whose minutes would be lost if the file could not be written.
     check_output(&flags.out)?;
+    check_own(&flags.out, &MEMORY_MARKS)?;
     let training = Training {
         seed: config.seed,
         scenarios: flags.scenarios,

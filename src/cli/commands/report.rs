@@ -6,8 +6,10 @@ use crate::picture::check_output;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_runs::report::page::{self, PageSettings};
-use planagent_runs::report::{RunFolder, check_writable, last_run};
+use planagent_runs::report::{RunFolder, check_own, check_writable, last_run};
 
+/// What the beginning of a page has.
+const PAGE_MARKS: [&str; 2] = ["<!doctype html>", "<title>PlanAgent"];
 /// Bytes of a megabyte.
 const MEGABYTE: f64 = 1e6;
 
@@ -24,7 +26,10 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
     RunFolder::manifest(first)?;
     // Said before the work, not after it.
     match &flags.out {
-        Some(out) => check_output(out)?,
+        Some(out) => {
+            check_output(out)?;
+            check_own(out, &PAGE_MARKS)?;
+        }
         None => check_writable(first)?,
     }
     let settings = PageSettings {
@@ -62,7 +67,7 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
     ));
     if contents.without_replay > 0 {
         printer.note(format!(
-            "{} simulations have no replay: they failed, or an older version ran them",
+            "{} simulations have no replay: they failed, or the file is lost; resume their run to make it again",
             contents.without_replay
         ));
     }

@@ -27,12 +27,12 @@ pub(crate) fn run(
     let mut exit = Exit::Success;
     if [ALL_STUDIES, TOKENS].contains(&flags.name.as_str()) {
         let (counted, folder) = studies.count_tokens()?;
-        exit = show_tokens(&counted, &folder, printer)?;
+        exit = show_tokens(&counted, &folder, flags.csv, printer)?;
     }
     // Their lists are no suites of simulations.
     if flags.name == TWINS || (flags.name == ALL_STUDIES && flags.suites.is_empty()) {
         let (results, folder) = studies.ask_twins()?;
-        exit = exit.max(show_twins(&results, &folder, printer)?);
+        exit = exit.max(show_twins(&results, &folder, flags.csv, printer)?);
     }
     if ![TOKENS, TWINS].contains(&flags.name.as_str()) {
         let all = flags.name == ALL_STUDIES;
@@ -136,8 +136,30 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
     })
 }
 
-fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
-    if printer.is_json() {
+/// A row of a list or suite for CSV.
+#[derive(Serialize)]
+struct NamedRow<'a, T> {
+    list: &'a str,
+    #[serde(flatten)]
+    row: &'a T,
+}
+
+fn named<'a, T>(list: &'a str, rows: &'a [T]) -> impl Iterator<Item = NamedRow<'a, T>> {
+    rows.iter().map(move |row| NamedRow { list, row })
+}
+
+fn show_tokens(
+    counted: &[SuiteTokens],
+    folder: &Path,
+    csv: bool,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    if csv {
+        let rows = counted
+            .iter()
+            .flat_map(|one| named(&one.suite, &one.table.rows));
+        printer.csv(&rows.collect::<Vec<_>>())?;
+    } else if printer.is_json() {
         printer.json(&counted)?;
     } else {
         for suite in counted {
@@ -151,6 +173,7 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
         }
     }
     printer.note(format!("results in {}", folder.display()));
+    // Scenes that cannot be opened come last, where a person at a terminal looks first.
     let failed = || counted.iter().flat_map(|suite| &suite.failed);
     failed().for_each(|line| printer.note(format!("failed: {line}")));
     Ok(if failed().next().is_none() {
@@ -160,8 +183,16 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
     })
 }
 
-fn show_twins(results: &[TwinResults], folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
-    if printer.is_json() {
+fn show_twins(
+    results: &[TwinResults],
+    folder: &Path,
+    csv: bool,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    if csv {
+        let rows = results.iter().flat_map(|one| named(&one.list, &one.rows));
+        printer.csv(&rows.collect::<Vec<_>>())?;
+    } else if printer.is_json() {
         printer.json(&results)?;
     } else {
         for list in results {

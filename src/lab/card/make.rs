@@ -12,17 +12,17 @@ use super::reasoning::Reasoning;
 use super::sections::{Section, sections};
 use super::simulations::{Loop, RUNS};
 use super::states::{self, AskedStates};
+use crate::report::StudyFolder;
 use crate::study_runs::judge_twins;
 use crate::twins;
 use planagent_agent::planner::Latency;
 use planagent_agent::reasoning::{PromptForms, Round};
 use planagent_files::quoted;
 use planagent_mllm::ModelDescription;
-use planagent_runs::report::{SimulationRow, check_writable};
+use planagent_runs::report::SimulationRow;
 use planagent_runs::runner::model::OpenModel;
 use planagent_runs::runner::{Config, Listener, RESULT_VERSION, RunnerError};
 use planagent_runs::worker::statistics::Bootstrap;
-use planagent_scenario::modified::TwinKind;
 use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
 /// Scenes of a suite, and pairs of text twins, of a card that names no number. With nano, two idle
@@ -82,7 +82,10 @@ pub fn make(
     let (subject, asked) = ask(request, config, &runs, listener)?;
     let sees = subject.card.sees;
     let twins = if sees {
-        let list = (twins::TEST.to_owned(), some_twins(request.limit));
+        let list = (
+            twins::TEST.to_owned(),
+            twins::evenly(&twins::test(), request.limit),
+        );
         Part::Known(judge_twins(&list, config, &runs, listener)?)
     } else {
         Part::missing("the model sees no picture, so both scenes of a pair are one to it")
@@ -151,7 +154,7 @@ fn check(request: &CardRequest, config: &Config) -> Result<Option<CallCost>, Run
     }
     let earlier = request.latency_of.as_deref().map(CallCost::read);
     let earlier = earlier.transpose()?;
-    check_writable(&request.out)?;
+    StudyFolder::new(request.out.clone()).check(page::OWN, page::OWN_MARK)?;
     Ok(earlier)
 }
 
@@ -181,7 +184,7 @@ fn ask(
     let estimate = Estimate {
         states: wanted,
         pairs: if sees {
-            some_twins(request.limit).len()
+            twins::evenly(&twins::test(), request.limit).len()
         } else {
             0
         },
@@ -192,18 +195,6 @@ fn ask(
     let tell = |time| estimate.tell(time, listener);
     let asked = states::ask(wanted, &loaded, config, runs, (listener, &tell))?;
     Ok((subject, asked))
-}
-
-/// So many pairs of text twins, evenly of each kind.
-fn some_twins(limit: usize) -> Vec<crate::dataset::twins::PairName> {
-    let pairs = twins::list(twins::TEST).expect("the list of test pairs is built in");
-    let of_kind = |kind: TwinKind| pairs.iter().copied().filter(move |pair| pair.kind == kind);
-    let kinds = TwinKind::ALL.len();
-    let of = TwinKind::ALL.into_iter().enumerate();
-    of.flat_map(|(place, kind)| {
-        of_kind(kind).take(limit / kinds + usize::from(place < limit % kinds))
-    })
-    .collect()
 }
 
 /// Why answers have no probabilities, if they have none.
@@ -272,20 +263,5 @@ mod tests {
         config.mllm.model = "nano".to_owned();
         let of_name = command(&request, &config).unwrap();
         assert_eq!(of_name, "planagent card --model nano --limit 3");
-    }
-
-    #[test]
-    fn twins_are_taken_evenly_from_the_kinds() {
-        for limit in [1, 4, 6, 10_000] {
-            let pairs = some_twins(limit);
-            let all = twins::list(twins::TEST).unwrap().len();
-            assert_eq!(pairs.len(), limit.min(all));
-            let of = |kind| pairs.iter().filter(|pair| pair.kind == kind).count();
-            let counts = TwinKind::ALL.map(of);
-            assert!(
-                counts.iter().max().unwrap() - counts.iter().min().unwrap() <= 1,
-                "{limit}: {counts:?}"
-            );
-        }
     }
 }

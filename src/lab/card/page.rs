@@ -21,6 +21,10 @@ pub const CARD_PAGE: &str = "card.html";
 /// The plot that the Markdown shows.
 pub(super) const PLOT: &str = "calibration.svg";
 
+/// The files that tell whether the program wrote a card, the first one with its command.
+pub(super) const OWN: [&str; 2] = [JSON, MARKDOWN];
+pub(super) const OWN_MARK: &str = "\"command\": \"planagent card";
+
 /// Writes all files of a card; gives its JSON.
 pub(super) fn write(
     folder: &Path,

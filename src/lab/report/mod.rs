@@ -9,12 +9,12 @@ mod table;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use records::Records;
-pub(crate) use study::clusters;
 pub use study::{
     Agreement, AskedFigures, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults,
     RecordingScores, StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults,
     VariantResults, VariantSimulations,
 };
+pub(crate) use study::{RESULTS, RESULTS_MARK, clusters};
 pub use table::{
     bench_markdown, bench_table, realism_table, study_table, token_markdown, token_table,
     twin_table,

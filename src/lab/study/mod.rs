@@ -209,11 +209,12 @@ impl Study {
             if !seen.insert(labels) {
                 return Err(format!("two variants have the labels {labels:?}"));
             }
-            if x.is_some() != needs_x {
-                return Err(format!(
-                    "variant {labels:?}: x belongs to figure.lines, and to it alone"
-                ));
-            }
+            let fault = match (x.is_some(), needs_x) {
+                (false, true) => "x is missing, its place on the axis of figure.lines",
+                (true, false) => "x is given, but the study has no figure.lines; leave it out",
+                _ => continue,
+            };
+            return Err(format!("variant {labels:?}: {fault}"));
         }
         Ok(())
     }

@@ -11,10 +11,10 @@ pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 pub(crate) use twins::{answers_folder, judge as judge_twins};
 
 use crate::report::{
-    BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations,
-    VariantSimulations,
+    BenchFigures, BenchFolder, ModelFigures, Outcome, RESULTS, RESULTS_MARK, StudyFolder,
+    StudyResults, SuiteSimulations, VariantSimulations,
 };
-use crate::study::{Quick, Study, StudyError, find};
+use crate::study::{Quick, Study, StudyError, find, names};
 use crate::twins::{TwinError, TwinResults};
 use planagent_files::quoted;
 use planagent_runs::report::{SimulationRow, check_writable};
@@ -82,7 +82,7 @@ impl<'a> Studies<'a> {
 
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
-        check_writable(&self.folder(TOKENS))?;
+        self.check_folder(TOKENS)?;
         let suites = self.suites.select(TOKENS, tokens::SUITES, None)?;
         self.suites.note_lacking();
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
@@ -99,7 +99,7 @@ impl<'a> Studies<'a> {
             StudyFolder::new(self.folder(TWINS)),
         );
         check_writable(&runs)?;
-        check_writable(folder.path())?;
+        self.check_folder(TWINS)?;
         let lists = twins::lists(self.request)?;
         let results = lists
             .iter()
@@ -117,12 +117,13 @@ impl<'a> Studies<'a> {
     ) -> Result<StudyOutcome, RunnerError> {
         let started = Instant::now();
         let studies = words.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
+        studies.iter().try_for_each(check_name)?;
         let bench = self.bench()?;
         // Planning loads the models, which takes long: what is wrong with a folder is said before.
         check_writable(&self.request.out.join(RUNS))?;
         studies
             .iter()
-            .try_for_each(|study| check_writable(&self.folder(&study.name)))?;
+            .try_for_each(|study| self.check_folder(&study.name))?;
         let (planned, runs) = self.plan(studies)?;
         let parameters = runs.parameters();
         let rows = self.complete(runs, started)?;
@@ -161,6 +162,7 @@ impl<'a> Studies<'a> {
         studies: Vec<Study>,
     ) -> Result<(Vec<Planned>, PlannedRuns<'a>), RunnerError> {
         let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
+        studies.iter().try_for_each(|study| runs.check(study))?;
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
@@ -240,6 +242,11 @@ impl<'a> Studies<'a> {
         Ok(figures.models)
     }
 
+    /// Refuses a folder that takes no files, or in which files of others would be lost.
+    fn check_folder(&self, name: &str) -> Result<(), RunnerError> {
+        Ok(StudyFolder::new(self.folder(name)).check(RESULTS, RESULTS_MARK)?)
+    }
+
     /// The folder of a study's results.
     fn folder(&self, name: &str) -> PathBuf {
         self.request
@@ -279,6 +286,28 @@ impl<'a> Studies<'a> {
     }
 }
 
+/// Refuses a study of a file whose results would replace those of a built-in study, or lie among the
+/// runs.
+fn check_name(study: &Study) -> Result<(), StudyError> {
+    let base = study.name.trim_end_matches(|c: char| c.is_ascii_digit());
+    let base = [
+        base.strip_suffix("-limit-"),
+        study.name.strip_suffix("-quick"),
+    ];
+    let base = base.into_iter().flatten().next().unwrap_or(&study.name);
+    let is_taken = names().chain([TOKENS, TWINS, RUNS]).any(|own| own == base);
+    if !is_taken || study.word == study.name {
+        return Ok(());
+    }
+    Err(StudyError::Value {
+        place: study.word.clone(),
+        fault: format!(
+            "name is {:?}, the folder of other results of the program; choose another",
+            study.name
+        ),
+    })
+}
+
 /// The simulations of a suite, variant by variant.
 fn simulations(
     suite: &SelectedSuite,
@@ -312,6 +341,38 @@ fn simulations(
         scenes: suite.sources.len(),
         blake3: suite.list.blake3.clone(),
         variants: names.iter().map(variant).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_study_of_a_file_has_no_folder_of_the_programs() {
+        let mut study = find("controls").unwrap();
+        check_name(&study).unwrap();
+        study.word = "mine.toml".to_owned();
+        for taken in [
+            "controls",
+            "main",
+            "main-quick",
+            "main-limit-12",
+            "tokens",
+            "twins",
+            "runs",
+        ] {
+            study.name = taken.to_owned();
+            let error = check_name(&study).unwrap_err().to_string();
+            assert!(
+                error.contains("mine.toml") && error.contains(taken),
+                "{error}"
+            );
+        }
+        for free in ["mine", "main-2", "limit-3", "mine-quick"] {
+            study.name = free.to_owned();
+            check_name(&study).unwrap();
+        }
     }
 }
 

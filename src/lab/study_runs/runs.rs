@@ -2,7 +2,7 @@
 //! the run, so that studies share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
-use crate::study::Variant;
+use crate::study::{Study, StudyError, Variant};
 use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand};
 use planagent_agent::planner_registry::{PlannerNeeds, PlannerRegistry, UsedSettings};
 use planagent_agent::simulation::Challenge;
@@ -67,6 +67,22 @@ impl<'a> PlannedRuns<'a> {
             plans,
             parameters,
         }
+    }
+
+    /// Refuses a study with a setting or a planner that there is not, before a model loads.
+    pub(super) fn check(&self, study: &Study) -> Result<(), RunnerError> {
+        for variant in &study.variants {
+            let labels = variant.labels.join(", ");
+            let place = format!("of the study {}, variant {labels}", study.word);
+            self.config.overlaid_at(&variant.settings, &place)?;
+            let (registry, commands) = self.registry_for(variant)?;
+            let planner = commands.planners.keys().next().unwrap_or(&variant.planner);
+            registry.find(planner).map_err(|error| StudyError::Value {
+                place: study.word.clone(),
+                fault: format!("variant {labels}: {error}"),
+            })?;
+        }
+        Ok(())
     }
 
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be

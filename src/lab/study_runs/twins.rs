@@ -41,17 +41,13 @@ pub(super) fn lists(request: &StudiesRequest) -> Result<Vec<(String, Vec<PairNam
             name: name.clone(),
             known: NAMES.join(", "),
         };
-        let mut pairs = twins::list(&name).ok_or_else(unknown)?;
-        if request.quick {
-            let first = |kind| {
-                pairs
-                    .iter()
-                    .copied()
-                    .filter(move |pair| pair.kind == kind)
-                    .take(QUICK)
-            };
-            pairs = TwinKind::ALL.into_iter().flat_map(first).collect();
-        }
+        let pairs = twins::list(&name).ok_or_else(unknown)?;
+        let limit = if request.quick {
+            Some(QUICK * TwinKind::ALL.len())
+        } else {
+            request.limit
+        };
+        let pairs = limit.map_or_else(|| pairs.clone(), |limit| twins::evenly(&pairs, limit));
         Ok((name, pairs))
     };
     names.into_iter().map(of_name).collect()

@@ -82,6 +82,11 @@ impl Checkpoint {
         if tensors.is_empty() {
             return Err(format("it holds no tensors".to_owned()));
         }
+        for (name, tensor) in &tensors {
+            if holds_nan(tensor).map_err(|error| format(error.to_string()))? {
+                return Err(format(format!("tensor {name} holds NaN")));
+            }
+        }
         let bare = |(name, tensor): (String, Tensor)| match name.strip_prefix(LIGHTNING) {
             Some(bare) => (bare.to_owned(), tensor),
             None => (name, tensor),
@@ -128,6 +133,18 @@ impl Checkpoint {
             }),
         }
     }
+}
+
+/// Whether a tensor has a number that is none. Infinity may be that of a mask.
+fn holds_nan(tensor: &Tensor) -> candle_core::Result<bool> {
+    if !tensor.dtype().is_float() {
+        return Ok(false);
+    }
+    let numbers = tensor.flatten_all()?.to_dtype(DType::F32)?;
+    Ok(numbers
+        .to_vec1::<f32>()?
+        .iter()
+        .any(|number| number.is_nan()))
 }
 
 fn read(path: &Path) -> io::Result<Vec<u8>> {

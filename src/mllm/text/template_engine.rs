@@ -7,6 +7,7 @@ use super::template_bounds::{
 };
 use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, UndefinedBehavior};
+use std::collections::BTreeSet;
 
 /// Templates with their bounds.
 #[derive(Debug)]
@@ -66,6 +67,24 @@ impl TemplateEngine {
         let environment = &mut self.environment;
         on_deep_stack(move || environment.add_template_owned(name, source))
             .map_err(|error| refused(error.to_string()))?
+    }
+
+    /// The values that a template takes from its context, as `name` or `name.field`.
+    ///
+    /// # Errors
+    /// When there is no such template.
+    pub fn variables(&self, name: &str) -> Result<BTreeSet<String>, Error> {
+        let template = self.environment.get_template(name)?;
+        let globals: BTreeSet<String> = self
+            .environment
+            .globals()
+            .map(|(global, _)| global.to_owned())
+            .collect();
+        Ok(template
+            .undeclared_variables(true)
+            .into_iter()
+            .filter(|variable| !globals.contains(variable))
+            .collect())
     }
 
     /// The text of a template. Without the texts of `context`, which have `bytes` bytes and may

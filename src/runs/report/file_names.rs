@@ -86,6 +86,11 @@ impl SimulationName {
             .map(safe)
             .take(MAX_SCENARIO_CHARS)
             .collect();
+        // A folder that begins with a dot is hidden, and none of a run.
+        let scenario = match scenario.strip_prefix('.') {
+            Some(rest) => format!("_{rest}"),
+            None => scenario,
+        };
         Self {
             number,
             name: format!("{number:0DIGITS$}-{scenario}-{planner}-{challenge}"),
@@ -114,6 +119,19 @@ impl SimulationName {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_folder_of_any_scenario_is_found_again() {
+        let planner = NamePart::parse("idm").unwrap();
+        for scenario in ["..", ".hidden", "", "a/b", "\u{1b}[2J", &"x".repeat(9_000)] {
+            let name = SimulationName::new(3, scenario, &planner, "reactive");
+            assert_eq!(
+                SimulationName::parse(name.as_str()),
+                Some(name),
+                "{scenario}"
+            );
+        }
+    }
 
     #[test]
     fn what_leads_elsewhere_is_no_part_of_a_name() {

@@ -72,4 +72,4 @@ pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
 pub use visible::{markdown_block, markdown_line, visible, visible_line};
-pub use writable::check_writable;
+pub use writable::{check_own, check_writable};

@@ -316,13 +316,13 @@ impl RunFolder {
         Ok(completed)
     }
 
-    /// The completed simulations, checked against the tasks of the run. Damaged records are
-    /// deleted.
+    /// The completed simulations, checked against the tasks of the run. A simulation whose replay is
+    /// lost or no gzip file counts as damaged. Damaged ones are deleted.
     ///
     /// # Errors
     /// When a record cannot be read or belongs to another task.
     pub fn completed(&self, tasks: &[SimulationTask]) -> Result<CompletedSimulations, ReportError> {
-        let completed = Self::completed_in(&self.files)?;
+        let completed = self.with_replays(Self::completed_in(&self.files)?)?;
         for row in &completed.rows {
             let expected = tasks
                 .get(row.number)
@@ -341,6 +341,23 @@ impl RunFolder {
             .iter()
             .filter_map(|folder| folder.file_name()?.to_str())
             .try_for_each(|name| simulation_folder::remove(&self.simulations, name))?;
+        Ok(completed)
+    }
+
+    /// Counts simulations without their replay as damaged.
+    fn with_replays(
+        &self,
+        mut completed: CompletedSimulations,
+    ) -> Result<CompletedSimulations, ReportError> {
+        let folders = self.files.folders()?;
+        for row in std::mem::take(&mut completed.rows) {
+            match folders.get(&row.number).filter(|_| row.error.is_none()) {
+                Some(folder) if !simulation_folder::has_replay(&folder.open()?) => {
+                    completed.damaged.push(folder.path());
+                }
+                _ => completed.rows.push(row),
+            }
+        }
         Ok(completed)
     }
 

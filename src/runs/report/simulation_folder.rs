@@ -22,7 +22,7 @@ use planagent_files::{OpenFolder, UNFINISHED};
 use planagent_score::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Read};
 
 /// The files of a simulation beside its BEV maps, with their largest sizes.
 const FILES: [(&str, u64); 5] = [
@@ -33,6 +33,9 @@ const FILES: [(&str, u64); 5] = [
     // The record comes last, as it is written.
     (RECORD, MAX_RECORD_BYTES),
 ];
+
+/// The first bytes of a gzip file (RFC 1952).
+const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// `metrics.toml`.
 #[derive(Serialize, Deserialize)]
@@ -136,6 +139,15 @@ pub(super) fn is_whole(folder: &OpenFolder, row: &SimulationRow) -> Result<bool,
         }
     }
     Ok(true)
+}
+
+/// Whether the replay of a simulation is there, by the first bytes of a gzip file.
+pub(super) fn has_replay(folder: &OpenFolder) -> bool {
+    let mut first = [0; GZIP.len()];
+    let read = folder
+        .open_file(REPLAY)
+        .and_then(|mut file| file.read_exact(&mut first));
+    read.is_ok() && first == GZIP
 }
 
 /// Copies the known files of a simulation into the folder of all simulations: all of them, or

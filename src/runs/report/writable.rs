@@ -3,11 +3,13 @@
 use super::error::{ReportError, ReportFault};
 use planagent_files::{OpenFolder, WholeFile};
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
 /// How often a look is repeated that another process disturbed.
 const MAX_TRIES: usize = 100;
+/// Bytes at the beginning of a file that tell which command wrote it.
+const MARKED_BYTES: u64 = 1 << 10;
 
 /// Checks that files can be created in a folder, which need not exist yet. Leaves nothing
 /// behind, apart from an empty folder where several processes look at one time.
@@ -50,6 +52,30 @@ pub fn check_writable(folder: &Path) -> Result<(), ReportError> {
     written.map_err(ReportError::write(folder))
 }
 
+/// Refuses to replace a file of others: an own one has all of `marks` in its first KiB. A file that
+/// is missing or empty replaces nothing.
+///
+/// # Errors
+/// When the file is another's, or cannot be read.
+pub fn check_own(file: &Path, marks: &[&str]) -> Result<(), ReportError> {
+    // A pipe or a device loses nothing.
+    if fs::metadata(file).is_ok_and(|found| !found.is_file()) {
+        return Ok(());
+    }
+    let mut beginning = Vec::new();
+    let read =
+        fs::File::open(file).and_then(|file| file.take(MARKED_BYTES).read_to_end(&mut beginning));
+    match read {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        read => read.map_err(ReportError::read(file))?,
+    };
+    let text = String::from_utf8_lossy(&beginning);
+    if text.is_empty() || marks.iter().all(|mark| text.contains(mark)) {
+        return Ok(());
+    }
+    Err(ReportError::at(file)(ReportFault::NotOwn))
+}
+
 /// Creates a folder and, in it, a file that is deleted again.
 fn write_file(folder: &Path) -> io::Result<()> {
     let probe = WholeFile::create_in(&OpenFolder::create(folder)?, "probe")?;
@@ -75,6 +101,23 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(error.contains("is a file and no folder"), "{error}");
+    }
+
+    #[test]
+    fn files_of_others_are_not_replaced() {
+        let work = tempfile::tempdir().unwrap();
+        let file = work.path().join("notes.txt");
+        let marks = ["<!doctype html>", "PlanAgent"];
+        check_own(&file, &marks).unwrap();
+        for own in ["", "<!doctype html>\n<title>PlanAgent: run</title>"] {
+            fs::write(&file, own).unwrap();
+            check_own(&file, &marks).unwrap();
+        }
+        for other in ["notes", "<!doctype html>\n<title>mine</title>"] {
+            fs::write(&file, other).unwrap();
+            let error = check_own(&file, &marks).unwrap_err().to_string();
+            assert!(error.contains("notes.txt: another program"), "{error}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The files of a log, by the names of Argoverse 2.
 
 use super::error::{Argoverse2Error, LogFault};
+use crate::folders::files_below;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -113,25 +114,20 @@ pub(crate) fn is_log(folder: &Path) -> bool {
         || folder.file_name().is_some_and(|name| name != "map") && has(map_in(folder))
 }
 
-/// The logs in a folder and in the folders directly below it (`sensor/val/LOG` for `sensor`), by
-/// name.
-pub fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
+/// The logs in the folders below a folder, by path. A folder that cannot be listed is one of the
+/// notes.
+pub fn logs_in(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<PathBuf>, Argoverse2Error> {
     let mut logs = Vec::new();
-    for below in folders_in(folder)? {
-        if is_log(&below) {
-            logs.push(below);
-        } else {
-            logs.extend(folders_in(&below)?.into_iter().filter(|path| is_log(path)));
+    let enter = |below: &Path| {
+        let is_log = is_log(below);
+        if is_log {
+            logs.push(below.to_owned());
         }
-    }
+        !is_log
+    };
+    files_below(folder, enter, notes).map_err(Argoverse2Error::at(folder))?;
+    logs.sort();
     Ok(logs)
-}
-
-fn folders_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
-    Ok(entries(folder)?
-        .into_iter()
-        .filter(|path| path.is_dir())
-        .collect())
 }
 
 /// The city in the name of a sensor log's map: `MIA` of

@@ -5,12 +5,16 @@ use super::{contents, is_log, logs_in, name, open};
 use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use planagent_files::{path_of, word_of};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Endings of the files right in the folder of a log.
 const ENDINGS: [&str; 2] = ["parquet", "feather"];
 
 /// Takes folders that hold a log, and a file right in one.
-pub(crate) struct Argoverse2Reader;
+#[derive(Debug, Default)]
+pub(crate) struct Argoverse2Reader {
+    notes: Mutex<Vec<String>>,
+}
 
 /// The folder of the log that a path names: its own, or that of one of its files.
 fn log_at(path: &Path) -> Option<&Path> {
@@ -33,7 +37,10 @@ impl ScenarioReader for Argoverse2Reader {
         let path = &path_of(word);
         let folders = match log_at(path) {
             Some(folder) => vec![folder.to_owned()],
-            None => logs_in(path).map_err(ReaderError::new)?,
+            None => {
+                let mut notes = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
+                logs_in(path, &mut notes).map_err(ReaderError::new)?
+            }
         };
         let reference = |folder: PathBuf| {
             let name = name(&folder);
@@ -46,7 +53,11 @@ impl ScenarioReader for Argoverse2Reader {
     }
 
     fn looks_for(&self) -> Option<String> {
-        Some("Argoverse 2 logs (down to two folders below)".to_owned())
+        Some("Argoverse 2 logs".to_owned())
+    }
+
+    fn take_notes(&self) -> Vec<String> {
+        std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
@@ -86,7 +97,9 @@ mod tests {
         assert_eq!(log_at(&file), Some(log.as_path()));
         assert_eq!(log_at(&other), None);
         assert_eq!(log_at(&log.join("absent.parquet")), None);
-        let listed = Argoverse2Reader.list(&word_of(file.as_os_str())).unwrap();
+        let listed = Argoverse2Reader::default()
+            .list(&word_of(file.as_os_str()))
+            .unwrap();
         assert_eq!(listed.len(), 1);
         assert_eq!(listed[0].to_string(), word_of(log.as_os_str()));
     }
@@ -112,7 +125,10 @@ mod tests {
                 std::fs::write(file, "").unwrap();
             }
             let log = root.path().join(log);
-            let [listed] = &Argoverse2Reader.list(&word_of(log.as_os_str())).unwrap()[..] else {
+            let [listed] = &Argoverse2Reader::default()
+                .list(&word_of(log.as_os_str()))
+                .unwrap()[..]
+            else {
                 panic!("one log")
             };
             let error = listed.open().unwrap_err().to_string();
@@ -123,7 +139,7 @@ mod tests {
         }
         let maps = root.path().join("unposed/map");
         assert_eq!(log_at(&maps), None, "the maps of a log are none");
-        let all = Argoverse2Reader
+        let all = Argoverse2Reader::default()
             .list(&word_of(root.path().as_os_str()))
             .unwrap();
         assert_eq!(all.len(), 2);

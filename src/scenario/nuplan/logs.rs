@@ -5,18 +5,14 @@ use super::error::{FileFault, NuPlanError};
 use super::schema::LOG_TABLES;
 use super::token::Token;
 use crate::DataRoots;
+use crate::folders::files_below;
 use crate::reader::passed_over;
-use planagent_files::is_hidden;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Ending of log databases.
 const LOG_ENDING: &str = "db";
-/// Folders that hold no logs, but very many files, or macOS's copies of their names.
-const WITHOUT_LOGS: [&str; 3] = ["sensor_blobs", "maps", "__MACOSX"];
-/// Depth to which folders are searched for logs; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
-pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
 /// A log: one database file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -108,11 +104,11 @@ impl Logs {
                 notes: Vec::new(),
             });
         }
-        let mut files = Vec::new();
         let mut notes = Vec::new();
-        walk(path, MAX_FOLDER_DEPTH, &mut files, &mut notes)?;
-        // Folders list files in any order; sorted, the copy that counts is always the same.
-        files.sort();
+        let list = |source| NuPlanError::file(path, FileFault::List(source));
+        // In order, so that the copy of a log that counts is always the same.
+        let mut files = files_below(path, |_| true, &mut notes).map_err(list)?;
+        files.retain(|file| file.extension().is_some_and(|ending| ending == LOG_ENDING));
         let mut others = Vec::new();
         files.retain(|file| match other_kind(file) {
             Some(kind) => {
@@ -150,35 +146,6 @@ impl Logs {
             notes,
         })
     }
-}
-
-fn walk(
-    folder: &Path,
-    depth: usize,
-    files: &mut Vec<PathBuf>,
-    notes: &mut Vec<String>,
-) -> Result<(), NuPlanError> {
-    let io = |source| NuPlanError::file(folder, FileFault::List(source));
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let entry = entry.map_err(io)?;
-        let path = entry.path();
-        // macOS leaves `._NAME.db` beside each log on disks that are not its own, and in archives.
-        if is_hidden(&entry.file_name().to_string_lossy()) {
-            continue;
-        }
-        if path.is_dir() {
-            let name = entry.file_name();
-            if depth > 0 && !WITHOUT_LOGS.iter().any(|skipped| name == *skipped) {
-                // A folder below that cannot be listed hides no logs beside it.
-                if let Err(error) = walk(&path, depth - 1, files, notes) {
-                    notes.push(error.to_string());
-                }
-            }
-        } else if path.extension().is_some_and(|ending| ending == LOG_ENDING) {
-            files.push(path);
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -45,7 +45,6 @@ pub(crate) use filter::THRESHOLD_KEY;
 pub use filter::{Limit, ScenarioFilter, ThresholdScope, TokenSet};
 pub use filter_file::{FilterError, FilterFault, FilterFile};
 pub use lane_map::NuPlanMap;
-pub(crate) use logs::MAX_FOLDER_DEPTH;
 pub use logs::{Log, LogScenario, Logs, UnreadableLog};
 pub use map_store::MapStore;
 pub use open::open;

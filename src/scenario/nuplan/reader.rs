@@ -6,8 +6,8 @@ use super::logs::UnreadableLog;
 use super::search::{SearchResult, search, tag_types};
 use super::split::{self, SplitError};
 use super::{
-    Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError,
-    ScenarioFilter, THRESHOLD_KEY, ThresholdScope, Token, TokenError, open,
+    Exclusion, Exclusions, LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
+    ThresholdScope, Token, TokenError, open,
 };
 use crate::reader::passed_over;
 use crate::{
@@ -248,9 +248,7 @@ impl ScenarioReader for NuPlanReader {
     }
 
     fn looks_for(&self) -> Option<String> {
-        Some(format!(
-            "nuPlan logs (*{LOG_ENDING}) down to {MAX_FOLDER_DEPTH} folders below"
-        ))
+        Some(format!("nuPlan logs (*{LOG_ENDING})"))
     }
 
     fn splits(&self) -> Vec<&'static str> {

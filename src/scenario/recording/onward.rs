@@ -14,6 +14,9 @@ const SECONDS: f64 = 20.0;
 const COMPARED: f64 = 30.0;
 /// Maximum number of lanes over which they are compared.
 const MAX_COMPARED: usize = 6;
+/// Maximum number of lanes that are looked at for one successor. Those of a road are some tens; a
+/// damaged map, in which all lanes follow each other, has a sixth power of their number.
+const MAX_LOOKS: usize = 4096;
 
 /// The roadblocks after `route`, which ends in the lane `last` with the recorded `pose`: through
 /// the successors that need least turning, over the neighbor where the lane ends. They end with the
@@ -48,12 +51,14 @@ pub(super) fn onward(
 
 /// The successor that needs least turning, the first of equals.
 fn successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
-    let turn = |next: LaneId| turning(map, next, COMPARED, MAX_COMPARED);
-    map[lane]
-        .outgoing
-        .iter()
-        .copied()
-        .min_by(|&a, &b| turn(a).total_cmp(&turn(b)))
+    let turn = |next: LaneId| {
+        let mut looks = MAX_LOOKS;
+        turning(map, next, COMPARED, MAX_COMPARED, &mut looks)
+    };
+    let turns = map[lane].outgoing.iter().map(|&next| (next, turn(next)));
+    turns
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(next, _)| next)
 }
 
 /// A lane of the same roadblock beside the end of this one that leads on.
@@ -67,18 +72,20 @@ fn neighbor_that_goes_on(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
         .find(|&beside| map[beside].roadblock == block && !map[beside].outgoing.is_empty())
 }
 
-/// The least turning over the next `length` meters from the start of a lane on, radians.
-fn turning(map: &LaneMap, lane: LaneId, length: f64, lanes: usize) -> f64 {
+/// The least turning over the next `length` meters from the start of a lane on, radians. It looks at
+/// `looks` lanes at most.
+fn turning(map: &LaneMap, lane: LaneId, length: f64, lanes: usize, looks: &mut usize) -> f64 {
+    *looks = looks.saturating_sub(1);
     let line = &map[lane].centerline;
     let here = wrap_angle(line.heading_at(length.min(line.length())) - line.heading_at(0.0)).abs();
     let rest = length - line.length();
-    if rest <= 0.0 || lanes == 0 {
+    if rest <= 0.0 || lanes == 0 || *looks == 0 {
         return here;
     }
     let onward = map[lane]
         .outgoing
         .iter()
-        .map(|&next| turning(map, next, rest, lanes - 1));
+        .map(|&next| turning(map, next, rest, lanes - 1, looks));
     here + onward.min_by(f64::total_cmp).unwrap_or(0.0)
 }
 
@@ -160,5 +167,23 @@ mod tests {
             ),
             vec![2, 3]
         );
+    }
+
+    #[test]
+    fn lanes_that_all_follow_each_other_are_compared_in_bounded_time() {
+        let mut road = MapBuilder::default();
+        let count: u32 = 100;
+        for lane in 0..count {
+            let y = f64::from(lane);
+            road.lane(line(&[(0.0, y), (1.0, y)]), 3.5, Some(10.0))
+                .unwrap();
+        }
+        for from in 0..count {
+            for to in (0..count).filter(|&to| to != from) {
+                road.connect(LaneId(from), LaneId(to));
+            }
+        }
+        let map = road.finish().unwrap();
+        assert_eq!(successor(&map, LaneId(0)), Some(LaneId(1)));
     }
 }

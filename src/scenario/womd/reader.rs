@@ -1,9 +1,10 @@
 //! Waymo recordings in the registry of readers.
 
 use super::{WomdError, contents, log_name, open_one};
+use crate::folders::files_below;
 use crate::reader::passed_over;
 use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
-use planagent_files::{is_hidden, is_unfinished, path_of, word_of};
+use planagent_files::{is_unfinished, path_of, word_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -27,17 +28,17 @@ impl ScenarioReader for WomdReader {
         if !path.is_dir() {
             return records(path).map_err(ReaderError::new);
         }
-        let (mut all, mut others) = (Vec::new(), Vec::new());
-        for file in recordings_in(path)? {
+        let (mut all, mut others, mut notes) = (Vec::new(), Vec::new(), Vec::new());
+        for file in recordings_in(path, &mut notes)? {
             match records(&file) {
                 Ok(records) => all.extend(records),
                 Err(error) if error.fault.is_of_another_kind() => others.push(error.to_string()),
                 Err(error) => all.push(ScenarioRef::unreadable(&file, error.to_string())),
             }
         }
-        let note = passed_over(&others);
-        let mut notes = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
-        notes.extend(note);
+        notes.extend(passed_over(&others));
+        let mut kept = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.extend(notes);
         Ok(all)
     }
 
@@ -46,7 +47,7 @@ impl ScenarioReader for WomdReader {
     }
 
     fn looks_for(&self) -> Option<String> {
-        Some(format!("*{MARK}* files (right in it)"))
+        Some(format!("*{MARK}* files"))
     }
 }
 
@@ -55,25 +56,19 @@ fn is_recording(path: &Path) -> bool {
         .is_some_and(|name| name.to_string_lossy().contains(MARK))
 }
 
-/// The recordings of a folder, by name.
-fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
+/// The recordings in a folder and in the folders below, by path.
+fn recordings_in(folder: &Path, notes: &mut Vec<String>) -> Result<Vec<PathBuf>, ReaderError> {
     let failed = |source| ReaderError::Folder {
         path: folder.to_owned(),
         source,
     };
-    let entries = std::fs::read_dir(folder).map_err(failed)?;
-    let mut files = entries
-        .map(|entry| entry.map(|e| e.path()))
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(failed)?;
-    // What systems and browsers leave beside recordings is none.
-    let is_left = |path: &PathBuf| {
+    let mut files = files_below(folder, |_| true, notes).map_err(failed)?;
+    // What browsers leave beside recordings is none.
+    let is_left = |path: &Path| {
         path.file_name()
-            .map(|name| name.to_string_lossy())
-            .is_some_and(|name| is_hidden(&name) || is_unfinished(&name))
+            .is_some_and(|name| is_unfinished(&name.to_string_lossy()))
     };
-    files.retain(|path| is_recording(path) && !path.is_dir() && !is_left(path));
-    files.sort();
+    files.retain(|path| is_recording(path) && !is_left(path));
     Ok(files)
 }
 
@@ -125,6 +120,7 @@ impl OpenScenario for Recording {
 mod tests {
     use super::super::tfrecord::frame;
     use super::*;
+    use crate::reader::MAX_FOLDER_DEPTH;
 
     #[test]
     fn recordings_are_found_under_the_names_that_waymo_gives_them() {
@@ -140,6 +136,18 @@ mod tests {
         }
         std::fs::write(folder.path().join("page.tfrecord"), "<html></html>").unwrap();
         std::fs::create_dir(folder.path().join("c.tfrecord")).unwrap();
+        let deep = |depth: usize| folder.path().join(vec!["deep"; depth].join("/"));
+        std::fs::create_dir_all(deep(MAX_FOLDER_DEPTH + 1)).unwrap();
+        std::fs::write(
+            deep(MAX_FOLDER_DEPTH).join("d.tfrecord"),
+            frame(b"no message"),
+        )
+        .unwrap();
+        std::fs::write(
+            deep(MAX_FOLDER_DEPTH + 1).join("e.tfrecord"),
+            frame(b"no message"),
+        )
+        .unwrap();
         let word = |name: &str| word_of(folder.path().join(name).as_os_str());
         let reader = WomdReader::default();
         let found = reader.list(&word("")).unwrap();
@@ -147,7 +155,14 @@ mod tests {
             .iter()
             .filter_map(|one| one.path()?.file_name()?.to_str())
             .collect();
-        assert_eq!(names, ["a.tfrecord", "validation.tfrecord-00001-of-00150"]);
+        assert_eq!(
+            names,
+            [
+                "a.tfrecord",
+                "d.tfrecord",
+                "validation.tfrecord-00001-of-00150"
+            ]
+        );
         let notes = reader.take_notes();
         assert!(
             matches!(&notes[..], [note] if note.contains("page.tfrecord") && note.contains("web page")),

@@ -5,10 +5,15 @@ use super::results::StudyResults;
 use crate::report::figure::figures;
 use crate::report::study_markdown;
 use crate::study::Study;
-use planagent_runs::report::ReportError;
-use planagent_runs::report::atomic;
-use planagent_runs::report::json_value;
+use planagent_runs::report::{
+    ReportError, ReportFault, atomic, check_own, check_writable, json_value,
+};
 use std::path::{Path, PathBuf};
+
+/// The files of results, the first one with the command that made them.
+pub(crate) const RESULTS: [&str; 2] = ["results.md", "results.json"];
+/// What `results.md` of the program has at its beginning.
+pub(crate) const RESULTS_MARK: &str = "$ planagent study";
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StudyFolder {
@@ -23,6 +28,17 @@ impl StudyFolder {
 
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Checks that files can be written, and that none of others would be lost: the first of `files`
+    /// has `mark` at its beginning where the program wrote them.
+    pub(crate) fn check(&self, files: [&str; 2], mark: &str) -> Result<(), ReportError> {
+        check_writable(&self.path)?;
+        let [first, second] = files.map(|name| self.path.join(name));
+        if second.exists() && !first.exists() {
+            return Err(ReportError::at(&second)(ReportFault::NotOwn));
+        }
+        check_own(&first, &[mark])
     }
 
     /// Writes the results of a study and the `command` that reproduces them.

@@ -12,6 +12,7 @@ mod tests;
 pub use agreement::Agreement;
 pub use asked::AskedFigures;
 pub use folder::StudyFolder;
+pub(crate) use folder::{RESULTS, RESULTS_MARK};
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub(crate) use results::clusters;
 pub use results::{

@@ -31,7 +31,7 @@ pub enum RenderError {
         wanted: String,
         simulations: Vec<String>,
     },
-    #[error("{0} has no replay: it failed, or an older version ran it")]
+    #[error("{0} has no replay: it failed, or the file is lost; resume its run to make it again")]
     NoReplay(String),
     #[error(transparent)]
     View(#[from] BevError),
