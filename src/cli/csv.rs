@@ -13,7 +13,9 @@ pub(super) fn csv_text(rows: &[impl Serialize]) -> anyhow::Result<String> {
         .map(|row| Ok(json_value(row)?))
         .collect::<anyhow::Result<Vec<Value>>>()?;
     let mut all = Value::Null;
-    rows.iter().for_each(|row| join(&mut all, row));
+    for row in &rows {
+        join(&mut all, row);
+    }
     let names: Vec<String> = if rows.is_empty() {
         Vec::new()
     } else {

@@ -344,6 +344,18 @@ fn simulations(
     }
 }
 
+impl From<StudyError> for RunnerError {
+    fn from(error: StudyError) -> Self {
+        Self::Lab(Box::new(error))
+    }
+}
+
+impl From<TwinError> for RunnerError {
+    fn from(error: TwinError) -> Self {
+        Self::Lab(Box::new(error))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -373,17 +385,5 @@ mod tests {
             study.name = free.to_owned();
             check_name(&study).unwrap();
         }
-    }
-}
-
-impl From<StudyError> for RunnerError {
-    fn from(error: StudyError) -> Self {
-        Self::Lab(Box::new(error))
-    }
-}
-
-impl From<TwinError> for RunnerError {
-    fn from(error: TwinError) -> Self {
-        Self::Lab(Box::new(error))
     }
 }

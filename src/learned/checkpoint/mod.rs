@@ -82,6 +82,7 @@ impl Checkpoint {
         if tensors.is_empty() {
             return Err(format("it holds no tensors".to_owned()));
         }
+        // A network can hide it: a comparison with NaN is false, and a planner then drives all the same.
         for (name, tensor) in &tensors {
             if holds_nan(tensor).map_err(|error| format(error.to_string()))? {
                 return Err(format(format!("tensor {name} holds NaN")));

@@ -35,12 +35,11 @@ impl ScenarioReader for Argoverse2Reader {
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         let path = &path_of(word);
-        let folders = match log_at(path) {
-            Some(folder) => vec![folder.to_owned()],
-            None => {
-                let mut notes = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
-                logs_in(path, &mut notes).map_err(ReaderError::new)?
-            }
+        let folders = if let Some(folder) = log_at(path) {
+            vec![folder.to_owned()]
+        } else {
+            let mut notes = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
+            logs_in(path, &mut notes).map_err(ReaderError::new)?
         };
         let reference = |folder: PathBuf| {
             let name = name(&folder);
