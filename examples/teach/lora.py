@@ -192,10 +192,13 @@ def evaluated(model, rows: list[Chat], size: int, processor, device: str, dtype:
     return loss
 
 
-def saved(model, out: Path) -> None:
+def saved(model, base: str, out: Path) -> None:
     """The adapter as PEFT writes it, in 16 bits."""
     out.mkdir(parents=True, exist_ok=True)
-    model.peft_config["default"].save_pretrained(out)
+    config = model.peft_config["default"]
+    # transformers knows the folder of a GGUF file alone.
+    config.base_model_name_or_path = base
+    config.save_pretrained(out)
     state = {key: value.detach().to("cpu", torch.float16).contiguous() for key, value in get_peft_model_state_dict(model).items()}
     save_file(state, out / "adapter_model.safetensors", metadata={"format": "pt"})
 
@@ -284,7 +287,7 @@ def main() -> None:
                     checkpoint,
                 )
     after = evaluated(model, validation, together, processor, device, dtype)
-    saved(model, chosen.out)
+    saved(model, chosen.model, chosen.out)
     report = {
         "arguments": {key: str(value) for key, value in vars(chosen).items()},
         "chats": len(train),

@@ -75,6 +75,8 @@ const WRONG: &[&[&str]] = &[
     &["simulate", "--set", "reflection.threshold=high"],
     &["simulate", "--set", "reflection.threshold=7"],
     &["simulate", "--csv", "--json"],
+    &["simulate", "--seed", "9223372036854775808"],
+    &["bench", "nano", "--iterations", "18446744073709551615"],
     &["plan", "--prompt-set", "nowhere"],
     &["ask", "What is ahead?", "--set", "environment.bev=false"],
     &["scenarios", "generate", "--type", "chaning_lane"],
@@ -115,6 +117,12 @@ const WRONG: &[&[&str]] = &[
     &["study", "foo"],
     &["study", "scenario-type"],
     &["study", "recorded"],
+    &["study", "taken.toml"],
+    &["study", "setting.toml"],
+    &["study", "planner.toml"],
+    &["study", "controls", "--out", "theirs"],
+    &["card", "--out", "theirs"],
+    &["memory", "fill", "agent-driver", "--out", "notes.txt"],
     &["models", "fetch", "nnao"],
     &["report"],
     &["report", "nowhere"],
@@ -125,6 +133,18 @@ const WRONG: &[&[&str]] = &[
     &["merge"],
     &["completions", "csh"],
 ];
+
+/// A study of a user.
+const STUDY: &str = "
+name = 'mine'
+title = 'A threshold'
+labels = ['threshold']
+suites = ['generated-test14']
+[[variants]]
+labels = ['0.5']
+planner = 'idm'
+settings.reflection.threshold = 0.5
+";
 
 #[test]
 fn errors_are_as_reviewed() {
@@ -137,6 +157,18 @@ fn errors_are_as_reviewed() {
             "[[cones]]\nahead_m = 30.0\n",
         )
         .unwrap();
+    }
+    for (name, changed) in [
+        ("taken", ("mine", "controls")),
+        ("setting", ("reflection.threshold", "reflection.treshold")),
+        ("planner", ("idm", "idmm")),
+    ] {
+        let text = STUDY.replace(changed.0, changed.1);
+        fs::write(work.path().join(format!("{name}.toml")), text).unwrap();
+    }
+    fs::create_dir_all(work.path().join("theirs/controls")).unwrap();
+    for file in ["controls/results.md", "card.md"] {
+        fs::write(work.path().join("theirs").join(file), "notes").unwrap();
     }
     let mut text = String::new();
     for arguments in WRONG {

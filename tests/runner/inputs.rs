@@ -237,6 +237,19 @@ fn damaged_results_are_simulated_again_and_a_damaged_manifest_is_no_dead_end() {
             (whole.clone(), summary.clone())
         );
     }
+    let replay = simulations(&out)[0].join("replay.json.gz");
+    let packed = fs::read(&replay).unwrap();
+    for lost in [None, Some("x")] {
+        fs::remove_file(&replay).unwrap();
+        lost.map_or(Ok(()), |text| fs::write(&replay, text))
+            .unwrap();
+        let (code, _, stderr) = run(&["simulate", "--resume", folder]);
+        assert!(
+            code == 0 && stderr.contains("is damaged; its simulation is repeated"),
+            "{stderr}"
+        );
+        assert_eq!(fs::read(&replay).unwrap(), packed);
+    }
     let manifest = fs::read_to_string(out.join("manifest.toml")).unwrap();
     for cut in ["", &manifest[..manifest.find("[scenarios]").unwrap()]] {
         fs::write(out.join("manifest.toml"), cut).unwrap();

@@ -8,7 +8,7 @@ use super::pictures::PictureAnswers;
 use super::reasoning::Reasoning;
 use super::scores::SourceScore;
 use crate::twins::TwinResults;
-use planagent_mllm::{ModelDescription, Server};
+use planagent_mllm::{MergedAdapter, ModelDescription, Server};
 use planagent_runs::worker::statistics::Bootstrap;
 use serde::Serialize;
 
@@ -50,6 +50,9 @@ pub(super) struct CardModel {
     /// Number of weights; 0 for a server.
     pub(super) parameters: u64,
     pub(super) weights_blake3: String,
+    /// The adapter that is merged into these weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) adapter: Option<MergedAdapter>,
     /// Whether it is asked with a picture.
     pub(super) sees: bool,
     pub(super) server: Option<Server>,
@@ -69,6 +72,7 @@ impl CardModel {
             architecture: about.architecture.clone(),
             parameters: about.parameters,
             weights_blake3: about.weights_blake3.clone(),
+            adapter: about.load.adapter.clone(),
             sees,
             server: about.server.clone(),
             prompt_set: prompt_set.to_owned(),

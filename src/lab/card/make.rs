@@ -172,8 +172,12 @@ fn ask(
         .ok_or(CardError::Twin(twins::TwinError::NoModel))?;
     let about = loaded.about.clone();
     let sees = about.image_size.is_some() && config.environment.bev;
+    let mut card = CardModel::new(&about, sees, prompts.name(), prompts.blake3());
+    if let Some(adapter) = &mut card.adapter {
+        adapter.path = from_here(&adapter.path);
+    }
     let subject = Subject {
-        card: CardModel::new(&about, sees, prompts.name(), prompts.blake3()),
+        card,
         about,
         rounds: reasoning.rounds.clone(),
         forms: *prompts.forms(),

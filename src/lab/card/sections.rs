@@ -81,10 +81,17 @@ fn about(card: &Card) -> Section {
         Some(server) => format!("{} at {}", server.model, server.endpoint),
         None => format!("{} weights", weights(model.parameters)),
     };
+    let adapter = model.adapter.as_ref().map_or_else(String::new, |merged| {
+        format!(
+            "{} ({}, {} tensors)",
+            merged.path, merged.kind, merged.tensors
+        )
+    });
     let rows = [
         ("model", model.name.clone()),
         ("family", model.architecture.clone()),
         ("size", size),
+        ("adapter", adapter),
         ("picture", if model.sees { "yes" } else { "no" }.to_owned()),
         ("prompt set", model.prompt_set.clone()),
         ("planagent", card.planagent.to_owned()),
@@ -95,6 +102,8 @@ fn about(card: &Card) -> Section {
             card.states.unanswered.to_string(),
         ),
     ];
+    // A model without an adapter has no row of it.
+    let rows = rows.into_iter().filter(|(_, value)| !value.is_empty());
     let rows = rows.map(|(name, value)| vec![name.to_owned(), value]);
     section("About", vec![Block::Table(Table::new(["", ""], 2, rows))])
 }

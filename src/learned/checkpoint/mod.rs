@@ -30,6 +30,11 @@ pub enum CheckpointError {
         path.display()
     )]
     Format { path: PathBuf, fault: String },
+    #[error(
+        "the checkpoint {}: tensor {tensor} holds NaN, so its training failed; name another checkpoint",
+        path.display()
+    )]
+    NotANumber { path: PathBuf, tensor: String },
     #[error("the checkpoint {} does not fit {model}: {mismatch}", path.display())]
     Mismatch {
         path: PathBuf,
@@ -85,7 +90,10 @@ impl Checkpoint {
         // A network can hide it: a comparison with NaN is false, and a planner then drives all the same.
         for (name, tensor) in &tensors {
             if holds_nan(tensor).map_err(|error| format(error.to_string()))? {
-                return Err(format(format!("tensor {name} holds NaN")));
+                return Err(CheckpointError::NotANumber {
+                    path: path.to_owned(),
+                    tensor: name.clone(),
+                });
             }
         }
         let bare = |(name, tensor): (String, Tensor)| match name.strip_prefix(LIGHTNING) {
@@ -158,4 +166,25 @@ fn read(path: &Path) -> io::Result<Vec<u8>> {
         ));
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashMap;
+
+    #[test]
+    fn a_checkpoint_with_nan_is_refused_and_infinity_may_be_a_mask() {
+        let work = tempfile::tempdir().unwrap();
+        let file = work.path().join("network.safetensors");
+        let opened = |number: f32| {
+            let tensor = Tensor::new(&[1.0, number], &Device::Cpu).unwrap();
+            let tensors = HashMap::from([("layer.weight", tensor)]);
+            candle_core::safetensors::save(&tensors, &file).unwrap();
+            Checkpoint::open(&file)
+        };
+        opened(f32::NEG_INFINITY).unwrap();
+        let error = opened(f32::NAN).unwrap_err().to_string();
+        assert!(error.contains("tensor layer.weight holds NaN"), "{error}");
+    }
 }

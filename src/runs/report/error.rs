@@ -25,7 +25,7 @@ pub struct ReportError {
 pub enum ReportFault {
     #[error("the folder is not empty; name a new one, so that no result is lost")]
     NotEmpty,
-    #[error("another program or command wrote this file, which would be lost; name another place")]
+    #[error("this command did not write the file and would replace it; name another place")]
     NotOwn,
     #[error("the folder holds a run; resume it with --resume, or name a new folder")]
     AlreadyRun,

@@ -116,7 +116,10 @@ mod tests {
         for other in ["notes", "<!doctype html>\n<title>mine</title>"] {
             fs::write(&file, other).unwrap();
             let error = check_own(&file, &marks).unwrap_err().to_string();
-            assert!(error.contains("notes.txt: another program"), "{error}");
+            assert!(
+                error.contains("notes.txt: this command did not write"),
+                "{error}"
+            );
         }
     }
 
