@@ -1,12 +1,12 @@
 //! Settings of a model behind a server, as a model description has them.
 
+use super::family::DRAWN_SIDES;
 use super::key_variable;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
 
 /// Accepted sides of the image, pixels.
-const IMAGE_SIZES: std::ops::RangeInclusive<u32> = 32..=4096;
 /// The path of chat completions, after the version.
 const CHAT: &str = "/chat/completions";
 /// Other routes after the version, whose addresses people copy from examples.
@@ -210,8 +210,8 @@ impl EndpointSettings {
                 "endpoint '{endpoint}' is not an address with http:// or https:// and a host"
             ));
         }
-        if !IMAGE_SIZES.contains(&self.image_size) {
-            let (min, max) = (IMAGE_SIZES.start(), IMAGE_SIZES.end());
+        if !DRAWN_SIDES.contains(&self.image_size) {
+            let (min, max) = (DRAWN_SIDES.start(), DRAWN_SIDES.end());
             return Err(format!(
                 "image_size is {}; it must be from {min} to {max}",
                 self.image_size

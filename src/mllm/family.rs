@@ -22,9 +22,10 @@ use super::{MllmError, Turn};
 use candle_core::Tensor;
 use image::RgbImage;
 use planagent_kernels::Awake;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::{self, Debug, Formatter};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 /// A model, or why it cannot be opened.
 pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
@@ -250,6 +251,20 @@ impl Tiles {
     }
 }
 
+/// Sides of an image that can be drawn for a model, pixels.
+pub(crate) const DRAWN_SIDES: RangeInclusive<u32> = 32..=4096;
+
+fn drawn_side<'de, D: Deserializer<'de>>(source: D) -> Result<Option<u32>, D::Error> {
+    let side = u32::deserialize(source)?;
+    if DRAWN_SIDES.contains(&side) {
+        return Ok(Some(side));
+    }
+    let (min, max) = (DRAWN_SIDES.start(), DRAWN_SIDES.end());
+    Err(D::Error::custom(format!(
+        "size is {side}; it must be from {min} to {max}"
+    )))
+}
+
 /// How images are shown to a model, in its description; what is not set is as the model's files
 /// say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -257,7 +272,10 @@ impl Tiles {
 pub struct ImageSettings {
     /// Side of the square image that is drawn for the model, pixels. Only towers that take any size
     /// have a choice.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(
+        deserialize_with = "drawn_side",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub size: Option<u32>,
     /// Most tiles that an image is cut into.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -1,6 +1,7 @@
 //! What the two kinds of adapters share: what one says about itself, the names of PEFT's files, and
 //! how an adapter is refused.
 
+use super::missing::Announced;
 use crate::MllmError;
 use std::path::Path;
 
@@ -18,6 +19,8 @@ pub(super) struct About {
     pub(super) base: Option<String>,
     /// Whether an adapted embedding is the output layer too where the base ties the two.
     pub(super) tied: bool,
+    /// What it says that it changes, of an adapter of PEFT.
+    pub(super) announced: Option<Announced>,
     pub(super) notes: Vec<String>,
 }
 

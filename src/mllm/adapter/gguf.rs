@@ -162,6 +162,7 @@ impl GgufAdapter {
             ),
             base: base.map(str::to_owned),
             tied: false,
+            announced: None,
             notes,
         })
     }

@@ -296,3 +296,39 @@ fn pissa_and_olora_take_their_start_from_the_base() {
         );
     }
 }
+
+#[test]
+fn modules_that_the_settings_name_and_the_file_lacks_are_told() {
+    let layers = |part: &str| -> Vec<Made> {
+        let names = (0..3).map(|layer| format!("model.layers.{layer}.self_attn.{part}.weight"));
+        names.map(|name| made(&name, &[6, 10])).collect()
+    };
+    let base: Vec<Made> = [layers("q_proj"), layers("k_proj"), layers("o_proj")].concat();
+    let two = [
+        pair(Q, [6, 10], 4),
+        pair("model.layers.2.self_attn.q_proj", [6, 10], 4),
+    ]
+    .concat();
+    for (settings, said) in [
+        (json!({}), Some("4 modules that target_modules names")),
+        (
+            json!({"target_modules": ["q_proj"]}),
+            Some("stay as they are: model.layers.1.self_attn.q_proj"),
+        ),
+        (
+            json!({"target_modules": ["q_proj"], "layers_to_transform": [0, 2]}),
+            None,
+        ),
+        (json!({"target_modules": r".*\.[02]\..*"}), None),
+    ] {
+        let folder = peft(&settings, &two);
+        let mut weights = weights(&base);
+        merge(folder.path(), &mut weights).unwrap();
+        let notes = weights.report().notes.clone();
+        let told = notes.iter().find(|note| note.contains("no tensors"));
+        match said {
+            Some(said) => assert!(told.is_some_and(|note| note.contains(said)), "{notes:?}"),
+            None => assert_eq!(told, None, "{settings}"),
+        }
+    }
+}

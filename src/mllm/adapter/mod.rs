@@ -15,6 +15,7 @@ mod gguf;
 mod initial;
 mod leading;
 mod merge;
+mod missing;
 mod names;
 mod patterns;
 mod peft;

@@ -3,6 +3,7 @@
 use super::about::{About, PEFT_CONFIG, PEFT_WEIGHTS as WEIGHTS, refused};
 use super::change::{Change, Entry, Experts, Factor, LowRank, Rows, Target, flat};
 use super::initial::Initial;
+use super::missing::Announced;
 use super::names::{Name, Role};
 use super::settings::Settings;
 use super::source::AdapterFiles;
@@ -11,7 +12,7 @@ use crate::checkpoint::{
     BaseTensor, TensorPlace, WeightFile, parse_json, read_text,
     safetensors_folder::{RawTensor, read_header},
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -129,6 +130,7 @@ impl PeftAdapter {
                 }
             }
         }
+        let adapted = modules.keys().map(|module| (*module).to_owned()).collect();
         let mut unnamed = 0;
         // After the loop: the tensors of a module stand in any order in the file.
         for (module, tensors) in modules {
@@ -139,11 +141,11 @@ impl PeftAdapter {
                 entries.extend(self.low_rank(module, tensors)?);
             }
         }
-        let about = self.about(unnamed);
+        let about = self.about(adapted, unnamed);
         Ok((entries, about))
     }
 
-    fn about(self, unnamed: usize) -> About {
+    fn about(self, adapted: BTreeSet<String>, unnamed: usize) -> About {
         let Self {
             settings,
             has_tokenizer,
@@ -166,6 +168,10 @@ impl PeftAdapter {
             kind: (if settings.dora { "DoRA" } else { "LoRA" }).to_owned(),
             base: settings.base,
             tied: settings.tied,
+            announced: Some(Announced {
+                targeted: settings.targeted,
+                modules: adapted,
+            }),
             notes,
         }
     }

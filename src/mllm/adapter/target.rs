@@ -3,6 +3,7 @@
 use super::about::{About, refused};
 use super::change::{Change, Entry, Rows, Target};
 use super::merge::MergedTensor;
+use super::missing::{Announced, layer_of};
 use super::source::AdapterFiles;
 use crate::MllmError;
 use crate::checkpoint::{
@@ -110,9 +111,46 @@ pub(super) fn merge(
             "{beyond} tensors of the adapter are for the tower's last layer, which the files of the model leave out"
         ));
     }
+    if let Some(announced) = &about.announced {
+        note_missing(announced, weights, base);
+    }
     about.notes.into_iter().for_each(|note| weights.note(note));
     weights.set_adapter(merged.clone());
     Ok(merged)
+}
+
+/// Says which modules of the base an adapter names and lacks.
+fn note_missing(announced: &Announced, weights: &mut Weights, base: &BaseModel<'_>) {
+    let layers = weights
+        .shapes()
+        .filter_map(|(name, _)| layer_of(name))
+        .max();
+    // No base has more layers than tensors, whatever its names say.
+    let layers = layers
+        .map_or(0, |last| last.saturating_add(1))
+        .min(weights.shapes().count());
+    let missing = announced.missing(layers, |module| {
+        (base.canonical_name)(&format!("{module}.weight"))
+            .is_some_and(|name| weights.contains(&name))
+    });
+    if !missing.is_empty() {
+        weights.note(format!(
+            "{} modules that target_modules names have no tensors in the adapter and stay as they are: {}",
+            missing.len(),
+            shown(&missing)
+        ));
+    }
+}
+
+/// The first of some names.
+fn shown(names: &[String]) -> String {
+    let first: Vec<String> = names
+        .iter()
+        .take(SHOWN)
+        .map(|name| name.escape_debug().to_string())
+        .collect();
+    let more = if names.len() > SHOWN { ", …" } else { "" };
+    format!("{}{more}", first.join(", "))
 }
 
 /// The files of an adapter as a file of the model, for its digest.
@@ -276,19 +314,13 @@ fn matches_nothing(
     about: &About,
     base: &BaseModel<'_>,
 ) -> MllmError {
-    let shown: Vec<String> = unmatched
-        .iter()
-        .take(SHOWN)
-        .map(|name| name.escape_debug().to_string())
-        .collect();
-    let more = if unmatched.len() > SHOWN { ", …" } else { "" };
     refused(
         path,
         format!(
-            "{} of its {count} changes match no tensor of this {} model: {}{more}; {}",
+            "{} of its {count} changes match no tensor of this {} model: {}; {}",
             unmatched.len(),
             base.family,
-            shown.join(", "),
+            shown(unmatched),
             wanted(about)
         ),
     )

@@ -65,6 +65,14 @@ impl Targeted {
         })
     }
 
+    /// The ends of names in a list of targets.
+    pub(super) fn listed(&self) -> &[String] {
+        match &self.targets {
+            Modules::Named(names) => names,
+            Modules::Unset | Modules::AllLinear | Modules::Matching(_) => &[],
+        }
+    }
+
     /// Whether the settings name a module.
     pub(super) fn names(&self, module: &str) -> bool {
         if self.excluded.contain(module) {

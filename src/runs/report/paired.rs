@@ -242,7 +242,7 @@ fn common(
         )
     };
     let of = |row: &SimulationRow, name: &str| (row.planner == name).then_some(row.score?);
-    let others: BTreeMap<_, f64> = second
+    let mut others: BTreeMap<_, f64> = second
         .iter()
         .filter_map(|row| Some((key(row), of(row, &pair.second)? * 100.0)))
         .collect();
@@ -253,7 +253,8 @@ fn common(
             planners: pair.clone(),
             challenge: row.challenge,
             first: of(row, &pair.first)? * 100.0,
-            second: *others.get(&key(row))?,
+            // Each scene counts once, also where a run that was edited has it twice.
+            second: others.remove(&key(row))?,
         })
     });
     compared.collect()

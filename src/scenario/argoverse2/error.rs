@@ -42,6 +42,8 @@ pub enum LogFault {
         needed: &'static str,
         kind: &'static str,
     },
+    #[error("the table has more than {rows} rows or {mebibytes} MiB; no log is so long")]
+    TooLarge { rows: usize, mebibytes: usize },
     #[error("the table has no rows")]
     Empty,
     #[error("there is no column '{column}'")]

@@ -167,3 +167,24 @@ fn broken_forecasting_scenarios_are_reported() {
     let endless = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![i64::MAX; 60])));
     assert!(endless.contains("column 'timestep', row 0"), "{endless}");
 }
+
+#[test]
+fn a_small_file_of_many_equal_rows_is_refused_before_it_fills_the_memory() {
+    let batch = RecordBatch::try_from_iter(forecasting(110)).unwrap();
+    let long = StringArray::from(vec!["z".repeat(100_000); 4_000]);
+    let long = RecordBatch::try_from_iter([("city", Arc::new(long) as ArrayRef)]).unwrap();
+    for (batch, times) in [(batch, 20_000), (long, 1)] {
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .build();
+        let mut bytes = Vec::new();
+        let mut writer =
+            ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties)).unwrap();
+        for _ in 0..times {
+            writer.write(&batch).unwrap();
+        }
+        writer.close().unwrap();
+        let error = opened_of(&bytes).unwrap_err().to_string();
+        assert!(error.contains("no log is so long"), "{error}");
+    }
+}

@@ -26,6 +26,12 @@ const STREAM: &[u8] = &[0xff; 4];
 const FEATHER: &[u8] = b"ARROW1";
 const PARQUET: &[u8] = b"PAR1";
 
+/// Maximum size of a table in memory, bytes. The longest logs have a few MB. Compressed columns of
+/// equal cells may be a thousand times smaller in the file.
+const MAX_TABLE: usize = 1 << 28;
+/// Maximum number of rows; a column without bytes of its own still has cells.
+const MAX_ROWS: usize = 1 << 22;
+
 /// A table with at least one row.
 #[derive(Debug)]
 pub(super) struct Table {
@@ -82,8 +88,21 @@ impl Table {
         schema: &SchemaRef,
         batches: impl Iterator<Item = Result<RecordBatch, ArrowError>>,
     ) -> Result<Self, LogFault> {
-        let batches = batches.collect::<Result<Vec<_>, ArrowError>>()?;
-        let rows = concat_batches(schema, &batches)?;
+        let mut read = Vec::new();
+        let (mut rows, mut size) = (0_usize, 0_usize);
+        for batch in batches {
+            let batch = batch?;
+            rows = rows.saturating_add(batch.num_rows());
+            size = size.saturating_add(memory(&batch)?);
+            if rows > MAX_ROWS || size > MAX_TABLE {
+                return Err(LogFault::TooLarge {
+                    rows: MAX_ROWS,
+                    mebibytes: MAX_TABLE >> 20,
+                });
+            }
+            read.push(batch);
+        }
+        let rows = concat_batches(schema, &read)?;
         if rows.num_rows() == 0 {
             Err(LogFault::Empty)
         } else {
@@ -137,6 +156,15 @@ impl Table {
             .map(|(row, cell)| cell.ok_or(LogFault::NoValue { column, row }))
             .collect()
     }
+}
+
+/// Size of the cells of a batch, bytes.
+fn memory(batch: &RecordBatch) -> Result<usize, ArrowError> {
+    let sizes = batch.columns().iter().map(|column| {
+        // A slice of a larger batch counts with its own cells alone.
+        column.to_data().get_slice_memory_size()
+    });
+    sizes.sum()
 }
 
 /// Refuses a file that is known to be of another kind.

@@ -3,6 +3,7 @@
 use super::draft::Draft;
 use super::fault::Fault;
 use std::fmt;
+use toml::Spanned;
 
 /// One change of a scenario, as a table of the file names it.
 pub(super) trait Change: fmt::Debug + Send + Sync {
@@ -25,7 +26,7 @@ pub(super) struct PlacedChange {
 /// The head of the file; the tables beside it are the changes.
 #[derive(Debug)]
 pub(super) struct Head {
-    pub(super) name: Option<String>,
-    pub(super) kind: Option<String>,
+    pub(super) name: Option<Spanned<String>>,
+    pub(super) kind: Option<Spanned<String>>,
     pub(super) seed: u64,
 }

@@ -7,6 +7,7 @@ use super::fault::Fault;
 use crate::interplan::InterPlanName;
 use planagent_world::InteractionKind;
 use std::path::Path;
+use toml::Spanned;
 
 /// A modification: what it is called, how its scenes are scored, and its changes.
 #[derive(Debug)]
@@ -75,34 +76,41 @@ impl Modification {
             place: place.to_owned(),
             source: Box::new(source),
         })?;
-        let refused = |fault| ModifyError::Head {
-            place: place.to_owned(),
-            fault,
-        };
-        // The name becomes part of a scenario's word and of file names, which allow these letters
-        // only.
-        let name = head.name.unwrap_or_else(|| stem.to_owned());
-        let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if name.is_empty() || !name.chars().all(fits) {
-            let text = format!(
-                "{name:?} must be a word of the letters a to z, digits, '-', '_' and '.'; it is that of the file unless \
-                                the file has a key name"
-            );
-            return Err(refused(Fault::new("name", text)));
-        }
-        let kind = match head.kind {
-            None => None,
-            Some(word) => Some(InteractionKind::named(&word).ok_or_else(|| {
-                let known = InteractionKind::ALL.map(InteractionKind::name).join(", ");
-                refused(Fault::new("kind", format!("{word:?} is none of {known}")))
-            })?),
-        };
         let line_of = |byte: usize| {
             text.bytes()
                 .take(byte)
                 .filter(|&byte| byte == b'\n')
                 .count()
                 + 1
+        };
+        let refused = |word: Option<&Spanned<String>>, fault| ModifyError::Head {
+            place: word.map_or_else(
+                || place.to_owned(),
+                |word| format!("{place}, line {}", line_of(word.span().start)),
+            ),
+            fault,
+        };
+        // The name becomes part of a scenario's word and of file names, which allow these letters
+        // only.
+        let name = head
+            .name
+            .as_ref()
+            .map_or_else(|| stem.to_owned(), |name| name.get_ref().clone());
+        let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if name.is_empty() || !name.chars().all(fits) {
+            let text = format!(
+                "{name:?} must be a word of the letters a to z, digits, '-', '_' and '.'; it is that of the file unless \
+                                the file has a key name"
+            );
+            return Err(refused(head.name.as_ref(), Fault::new("name", text)));
+        }
+        let kind = match head.kind {
+            None => None,
+            Some(word) => Some(InteractionKind::named(word.get_ref()).ok_or_else(|| {
+                let known = InteractionKind::ALL.map(InteractionKind::name).join(", ");
+                let text = format!("{:?} is none of {known}", word.get_ref());
+                refused(Some(&word), Fault::new("kind", text))
+            })?),
         };
         let changes = changes.placed(line_of);
         for PlacedChange { key, line, change } in &changes {

@@ -143,7 +143,15 @@ fn faults_name_file_field_and_line() {
         ("[[stopped]]\nahead_m = [5, 2]\n", "the lower one first"),
         (
             "kind = \"jaywalking\"\n",
-            "kind: \"jaywalking\" is none of low_traffic_density",
+            "line 1: kind: \"jaywalking\" is none of low_traffic_density",
+        ),
+        (
+            "seed = 1\nname = \"a b\"\n",
+            "line 2: name: \"a b\" must be",
+        ),
+        (
+            "[goal]\nlane_changes = 2\n",
+            "expected a table in double brackets, as in [[goal]]",
         ),
         (
             "[[drivers]]\nbehavior = \"rude\"\n",

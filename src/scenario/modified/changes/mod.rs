@@ -14,7 +14,10 @@ mod traffic;
 mod vehicle;
 
 use super::change::{Change, Head, PlacedChange};
-use serde::Deserialize;
+use serde::de::{SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use std::fmt;
+use std::marker::PhantomData;
 use toml::Spanned;
 
 macro_rules! changes {
@@ -24,12 +27,12 @@ macro_rules! changes {
         #[serde(deny_unknown_fields)]
         pub(super) struct Changes {
             #[serde(default)]
-            name: Option<String>,
+            name: Option<Spanned<String>>,
             #[serde(default)]
-            kind: Option<String>,
+            kind: Option<Spanned<String>>,
             #[serde(default)]
             seed: u64,
-            $(#[serde(default)] $key: Vec<Spanned<$module::$kind>>,)*
+            $(#[serde(default, deserialize_with = "tables")] $key: Vec<Spanned<$module::$kind>>,)*
         }
 
         impl Changes {
@@ -52,6 +55,32 @@ macro_rules! changes {
             }
         }
     };
+}
+
+/// The tables of one key, which TOML writes in double brackets.
+fn tables<'de, D, T>(source: D) -> Result<Vec<Spanned<T>>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    struct Tables<T>(PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Tables<T> {
+        type Value = Vec<Spanned<T>>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a table in double brackets, as in [[goal]]")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut source: A) -> Result<Self::Value, A::Error> {
+            let mut all = Vec::new();
+            while let Some(table) = source.next_element()? {
+                all.push(table);
+            }
+            Ok(all)
+        }
+    }
+    source.deserialize_seq(Tables(PhantomData))
 }
 
 changes! {
