@@ -1,12 +1,13 @@
 //! Settings of a model behind a server, as a model description has them.
 
-use super::family::DRAWN_SIDES;
 use super::key_variable;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
 
-/// Accepted sides of the image, pixels.
+/// Sides of an image that can be drawn for a model, pixels.
+pub(crate) const DRAWN_SIDES: std::ops::RangeInclusive<u32> = 32..=4096;
+
 /// The path of chat completions, after the version.
 const CHAT: &str = "/chat/completions";
 /// Other routes after the version, whose addresses people copy from examples.

@@ -16,6 +16,7 @@
 
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{LanguageModel, Position};
+use super::endpoint_settings::DRAWN_SIDES;
 use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
@@ -25,7 +26,7 @@ use planagent_kernels::Awake;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::{self, Debug, Formatter};
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 
 /// A model, or why it cannot be opened.
 pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
@@ -250,9 +251,6 @@ impl Tiles {
         view.ok_or_else(|| candle_core::Error::Msg("there is no image".to_owned()))
     }
 }
-
-/// Sides of an image that can be drawn for a model, pixels.
-pub(crate) const DRAWN_SIDES: RangeInclusive<u32> = 32..=4096;
 
 fn drawn_side<'de, D: Deserializer<'de>>(source: D) -> Result<Option<u32>, D::Error> {
     let side = u32::deserialize(source)?;

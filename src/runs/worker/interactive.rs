@@ -110,7 +110,9 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
         excluded: Vec::new(),
     };
     let notes = if data.is_none() {
-        vec![format!("${DATA} names the folder of the recordings")]
+        vec![format!(
+            "${DATA} is not set; it names the folder of the recordings"
+        )]
     } else {
         Vec::new()
     };

@@ -1,6 +1,6 @@
 //! ggml's k-quants: blocks of 256 numbers, whose runs have scales of few bits.
 
-use super::super::line::{CacheLine, LANES};
+use super::super::line::CacheLine;
 use super::super::simd::Simd;
 use super::{Minima, Quantized, SPAN, SUMMED, Scales, run_sum, with_fifth_bit};
 
@@ -188,16 +188,18 @@ impl Quantized for Q3K {
             return;
         };
         let quarter = simd.mul(simd.load_half(&lines[27].halves(0)), simd.floats(0.25));
+        let two = simd.bytes(&lines[26]);
+        let [even, odd] = [simd.bytes(&lines[24]), simd.bytes(&lines[25])];
+        let mut scales = [CacheLine::ZERO; 4];
+        let [first, second, third, fourth] = &mut scales;
+        simd.store_bytes(simd.with_high_bits::<0, 0x30>(simd.low(even), two), first);
+        simd.store_bytes(simd.with_high_bits::<2, 0x30>(simd.low(odd), two), second);
+        simd.store_bytes(simd.with_high_bits::<4, 0x30>(simd.high(even), two), third);
+        simd.store_bytes(simd.with_high_bits::<6, 0x30>(simd.high(odd), two), fourth);
         for (run, out) in unpacked.runs.iter_mut().enumerate() {
-            let four = lines[24 + run % 8 / 4].quarter(run % 4);
-            let two = lines[26].quarter(run % 4);
-            let mut scales = [0; LANES];
-            for lane in 0..LANES {
-                let scale =
-                    four[lane] >> (run / 8 * 4) & 15 | (two[lane] >> (run / 4 * 2) & 3) << 4;
-                scales[lane] = scale.wrapping_sub(32);
-            }
-            simd.store(simd.mul(quarter, simd.load_signed(&scales)), out);
+            let scale = simd.to_floats(simd.load_unsigned(&scales[run / 4].quarter(run % 4)));
+            let scale = simd.add(scale, simd.floats(-32.0));
+            simd.store(simd.mul(quarter, scale), out);
         }
     }
 }
@@ -209,34 +211,37 @@ fn unpack_six_bits<S: Simd>(
     [halves, first, second, third]: [&CacheLine; 4],
     unpacked: &mut Scales,
 ) {
-    let packed = [first, second, third].map(|line| [0, 1, 2, 3].map(|index| line.quarter(index)));
-    let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
-    for lane in 0..LANES {
-        for run in 0..4 {
-            // ggml's order: scales 4 to 7 keep their upper two bits in the spare bits of scales 0
-            // to 3.
-            let [first, second, third] = [
-                packed[0][run][lane],
-                packed[1][run][lane],
-                packed[2][run][lane],
-            ];
-            scales[run][lane] = first & 63;
-            minima[run][lane] = second & 63;
-            scales[run + 4][lane] = third & 15 | first >> 6 << 4;
-            minima[run + 4][lane] = third >> 4 | second >> 6 << 4;
-        }
-    }
+    let (first, second, third) = (simd.bytes(first), simd.bytes(second), simd.bytes(third));
+    // ggml's order: scales 4 to 7 keep their upper two bits in the spare bits of scales 0 to 3.
+    let (mut scales, mut minima) = ([CacheLine::ZERO; 2], [CacheLine::ZERO; 2]);
+    simd.store_bytes(
+        simd.with_high_bits::<4, 0x30>(simd.low(first), first),
+        &mut scales[0],
+    );
+    simd.store_bytes(
+        simd.with_high_bits::<6, 0x30>(simd.low(third), first),
+        &mut scales[1],
+    );
+    simd.store_bytes(
+        simd.with_high_bits::<4, 0x30>(simd.low(second), second),
+        &mut minima[0],
+    );
+    simd.store_bytes(
+        simd.with_high_bits::<6, 0x30>(simd.high(third), second),
+        &mut minima[1],
+    );
     let scale = simd.load_half(&halves.halves(0));
-    for (out, scales) in unpacked.runs.iter_mut().zip(&scales) {
-        simd.store(
-            simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))),
+    let of_run = |lines: &[CacheLine; 2], run: usize| lines[run / 4].quarter(run % 4);
+    for (run, out) in unpacked.runs[..8].iter_mut().enumerate() {
+        let scales = simd.to_floats(simd.load_unsigned(&of_run(&scales, run)));
+        simd.store(simd.mul(scale, scales), out);
+    }
+    for (pair, out) in unpacked.minima.iter_mut().enumerate() {
+        let [low, high] = [2 * pair, 2 * pair + 1].map(|run| of_run(&minima, run));
+        simd.store_ints(
+            simd.pair(simd.load_unsigned(&low), simd.load_unsigned(&high)),
             out,
         );
-    }
-    for (out, minima) in unpacked.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
-        for lane in 0..LANES {
-            out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
-        }
     }
     simd.store(
         simd.load_half(&halves.halves(1)),

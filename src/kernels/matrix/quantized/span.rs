@@ -4,11 +4,18 @@ use super::super::format::{PackedSpan, TILES, TileSums, prefetch_part, take_all_
 use super::super::line::CacheLine;
 use super::super::simd::Simd;
 use super::{Block, MAX_MAGNITUDE, Minima, Quantized, SPAN, STEPS, Scales, float};
+use std::hint::black_box;
 
 /// Where the numbers of a span come from. A trait and not closures. A closure that is not inlined
 /// is compiled without the vector instructions of its caller, which made decoding five times
 /// slower. For the same reason vectors are never mapped as arrays.
-pub(super) trait Numbers<Q: Quantized> {
+pub(super) trait Numbers<Q: Quantized>: Sized {
+    /// Whether they are unpacked in each step. Which bits a step takes is then decided by its run.
+    const PACKED: bool;
+    /// The same numbers at an address that the compiler does not know. It would load the lines that
+    /// runs share once for all of them, and move them out of the registers again and again.
+    #[must_use]
+    fn opaque(&self) -> Self;
     /// Called before each run of numbers that share a scale.
     fn begin<S: Simd>(&self, simd: S, run: usize);
     /// The numbers of a step of a tile.
@@ -19,6 +26,13 @@ pub(super) trait Numbers<Q: Quantized> {
 pub(super) struct Unpacked<'a>(pub(super) &'a [Block; TILES]);
 
 impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
+    const PACKED: bool = false;
+
+    #[inline(always)]
+    fn opaque(&self) -> Self {
+        Self(black_box(self.0))
+    }
+
     #[inline(always)]
     fn begin<S: Simd>(&self, _: S, _: usize) {}
 
@@ -29,6 +43,19 @@ impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
 }
 
 impl<Q: Quantized> Numbers<Q> for PackedSpan<'_> {
+    const PACKED: bool = true;
+
+    #[inline(always)]
+    fn opaque(&self) -> Self {
+        // Their number stays known.
+        let [first, second] = self.tiles;
+        let tiles = [
+            &black_box(first)[..first.len()],
+            &black_box(second)[..second.len()],
+        ];
+        Self { tiles, ..*self }
+    }
+
     #[inline(always)]
     fn begin<S: Simd>(&self, simd: S, run: usize) {
         prefetch_part(simd, self.ahead, Q::LINES, run, SPAN / Q::RUN);
@@ -57,20 +84,39 @@ pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usi
     // is decided at compile time.
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
     let steps = Q::RUN / 4;
-    for (index, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
-        numbers.begin(simd, index);
-        let run = Run {
-            index,
-            activations,
-            sums: run_sums,
-            scales,
-        };
-        if const { take_all_tiles::<S, ROWS>() } {
-            add_run::<Q, S, N, ROWS, TILES>(simd, unpacked, numbers, &run, 0, &mut spans);
-        } else {
-            for tile in 0..TILES {
-                add_run::<Q, S, N, ROWS, 1>(simd, unpacked, numbers, &run, tile, &mut spans);
+    /// Adds a run.
+    macro_rules! add {
+        ($numbers:expr, $index:expr, $activations:expr) => {
+            let numbers = $numbers;
+            let run = Run {
+                index: $index,
+                activations: $activations,
+                sums: run_sums,
+                scales,
+            };
+            numbers.begin(simd, $index);
+            if const { take_all_tiles::<S, ROWS>() } {
+                add_run::<Q, S, N, ROWS, TILES>(simd, unpacked, numbers, &run, 0, &mut spans);
+            } else {
+                for tile in 0..TILES {
+                    add_run::<Q, S, N, ROWS, 1>(simd, unpacked, numbers, &run, tile, &mut spans);
+                }
             }
+        };
+    }
+    /// Adds some runs one by one, so that the compiler knows the number of each.
+    macro_rules! add_each {
+        ($($index:literal)*) => {
+            $(if $index < const { SPAN / Q::RUN } && $index < runs {
+                add!(&numbers.opaque(), $index, &activations[$index * steps..][..steps]);
+            })*
+        };
+    }
+    if const { N::PACKED && ROWS == 1 } {
+        add_each!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+    } else {
+        for (index, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
+            add!(numbers, index, activations);
         }
     }
     if Q::MINIMA == Minima::Scaled {

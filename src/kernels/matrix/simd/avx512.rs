@@ -47,7 +47,7 @@ impl Simd for Avx512 {
     }
 
     operations! {
-        prefetch(line: *const CacheLine) = _mm_prefetch::<_MM_HINT_T1>(line.cast());
+        prefetch(line: *const CacheLine) = _mm_prefetch::<_MM_HINT_T0>(line.cast());
         bytes(line: &CacheLine) -> __m512i = _mm512_load_si512(line.0.as_ptr().cast());
         store_bytes(bytes: __m512i, line: &mut CacheLine) = _mm512_store_si512(line.0.as_mut_ptr().cast(), bytes);
         low(bytes: __m512i) -> __m512i = _mm512_and_si512(bytes, _mm512_set1_epi8(15));
