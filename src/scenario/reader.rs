@@ -14,6 +14,10 @@ use std::sync::Arc;
 /// `nuplan-v1.1/splits/mini`.
 pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
+/// Longest name of a scenario or a scenario type, bytes: as a path of Linux. Records of a run hold
+/// no longer ones.
+pub(crate) const MAX_NAME_BYTES: usize = 4096;
+
 /// Called with the number of finished steps and the number of all.
 pub type OnProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 

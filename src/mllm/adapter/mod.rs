@@ -2,7 +2,8 @@
 //! loaded, a tensor at a time, so that a family computes as without them.
 //!
 //! A folder of PEFT (`peft`) and a GGUF file of llama.cpp (`gguf`) become changes by the names of the
-//! base's tensors (`change`). `target` finds these tensors among the weights and checks the shapes.
+//! base's tensors (`change`). `target` finds these tensors among the weights and checks the shapes;
+//! `missing` finds what an adapter announces and lacks.
 //! `merge` computes a tensor when it is read.
 //!
 //! LoRA: Hu et al., arXiv:2106.09685. rsLoRA: Kalajdzievski, arXiv:2312.03732. DoRA: Liu et al.,

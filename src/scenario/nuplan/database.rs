@@ -6,6 +6,7 @@
 use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
 use super::schema::Table;
 use super::token::{TOKEN_BYTES, Token};
+use crate::reader::MAX_NAME_BYTES;
 use planagent_files::{KIND_BYTES, kind_of};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
@@ -426,6 +427,18 @@ impl Record<'_> {
             ValueRef::Null => Ok(None),
             ValueRef::Text(text) => Ok(Some(String::from_utf8_lossy(text).into_owned())),
             _ => Err(self.wrong(column, "a text")),
+        }
+    }
+
+    /// A text that records of a run can hold.
+    pub(super) fn maybe_name(&self, column: &'static str) -> Result<Option<String>, NuPlanError> {
+        let name = self.maybe_text(column)?;
+        match name.as_ref().map_or(0, String::len) {
+            bytes if bytes > MAX_NAME_BYTES => {
+                let most = MAX_NAME_BYTES;
+                Err(self.fault(column, CellFault::LongText { bytes, most }))
+            }
+            _ => Ok(name),
         }
     }
 

@@ -64,6 +64,8 @@ pub enum CellFault {
     /// NaN, infinite, or out of range.
     #[error("holds {got}, expected {expected}")]
     Number { got: f64, expected: &'static str },
+    #[error("holds a text of {bytes} bytes; it may have {most}")]
+    LongText { bytes: usize, most: usize },
     #[error("holds a token of {0} bytes, expected 8")]
     TokenLength(usize),
     #[error("holds '{got}', expected {expected}")]

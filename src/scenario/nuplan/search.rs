@@ -265,7 +265,7 @@ fn tags(
 ) -> Result<BTreeMap<Token, String>, NuPlanError> {
     let mut tags: BTreeMap<Token, String> = BTreeMap::new();
     database.each(SCENARIO_TAG, "", [], |record| {
-        let Some(name) = record.maybe_text("type")? else {
+        let Some(name) = record.maybe_name("type")? else {
             return Ok(());
         };
         if types.is_none_or(|types| types.contains(&name)) {

@@ -24,6 +24,8 @@ pub enum WomdFault {
     Framing(#[from] FramingFault),
     #[error("not a Scenario message: {0}")]
     Decode(#[from] prost::DecodeError),
+    #[error("scenario_id has {bytes} bytes; it may have {most}")]
+    LongId { bytes: usize, most: usize },
     #[error(transparent)]
     Recording(#[from] RecordingFault),
     #[error(

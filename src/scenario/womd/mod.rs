@@ -30,6 +30,7 @@ pub use error::{WomdError, WomdFault};
 pub(crate) use reader::WomdReader;
 pub use tfrecord::FramingFault;
 
+use super::reader::MAX_NAME_BYTES;
 use super::recording::window;
 use super::{Contents, Scenario};
 use features::lane_count;
@@ -142,7 +143,8 @@ fn decoded(
         .and_then(|bytes| match other_message(&bytes) {
             Some(other) => Err(WomdFault::OtherMessage(other)),
             None => Ok(proto::Scenario::decode(&bytes[..])?),
-        });
+        })
+        .and_then(checked_id);
     let recording = decoded.map_err(WomdError::at_part(path, part(number, offset)))?;
     Ok(Decoded {
         path: path.to_owned(),
@@ -150,4 +152,14 @@ fn decoded(
         offset,
         recording,
     })
+}
+
+/// Refuses an id that the records of a run could not hold.
+fn checked_id(recording: proto::Scenario) -> Result<proto::Scenario, WomdFault> {
+    let bytes = recording.scenario_id.len();
+    if bytes > MAX_NAME_BYTES {
+        let most = MAX_NAME_BYTES;
+        return Err(WomdFault::LongId { bytes, most });
+    }
+    Ok(recording)
 }

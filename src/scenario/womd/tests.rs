@@ -383,6 +383,16 @@ fn a_recording_is_opened_by_its_number() {
 }
 
 #[test]
+fn an_id_that_no_record_holds_is_refused() {
+    let mut long = recording();
+    long.scenario_id = "x".repeat(5000);
+    let (_folder, path) = written(&frame(&long.encode_to_vec()));
+    let error = contents(&path).unwrap().next().unwrap().unwrap_err();
+    let error = error.to_string();
+    assert!(error.contains("scenario_id has 5000 bytes"), "{error}");
+}
+
+#[test]
 fn compressed_files_are_read_as_the_others() {
     use flate2::Compression;
     use flate2::write::{GzEncoder, ZlibEncoder};

@@ -104,7 +104,8 @@ pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usi
             }
         };
     }
-    /// Adds some runs one by one, so that the compiler knows the number of each.
+    /// Adds some runs one by one, so that the compiler knows the number of each, and with it the bits
+    /// that it takes. Why: docs/decisions/150-runs-one-by-one.md.
     macro_rules! add_each {
         ($($index:literal)*) => {
             $(if $index < const { SPAN / Q::RUN } && $index < runs {
@@ -112,7 +113,7 @@ pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usi
             })*
         };
     }
-    if const { N::PACKED && ROWS == 1 } {
+    if const { N::PACKED && ROWS == 1 && S::REGISTERS > 16 } {
         add_each!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
     } else {
         for (index, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
