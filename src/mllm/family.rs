@@ -252,6 +252,7 @@ impl Tiles {
     }
 }
 
+/// Reads a side within [`DRAWN_SIDES`].
 fn drawn_side<'de, D: Deserializer<'de>>(source: D) -> Result<Option<u32>, D::Error> {
     let side = u32::deserialize(source)?;
     if DRAWN_SIDES.contains(&side) {

@@ -72,6 +72,13 @@ fn missing_tables_and_columns() {
 fn cells_that_cannot_be_used() {
     for (sql, parts) in [
         (
+            "UPDATE scenario_tag SET type = hex(zeroblob(2049))",
+            [
+                "table scenario_tag, row ",
+                "column type holds a text of 4098 bytes",
+            ],
+        ),
+        (
             "UPDATE lidar_box SET x = NULL",
             ["table lidar_box, row ", "column x is NULL"],
         ),

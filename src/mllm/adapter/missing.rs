@@ -1,7 +1,7 @@
 //! Modules that an adapter's settings name and its file does not have: a file that was cut, or one
 //! for a smaller model.
 
-use super::targeted::Targeted;
+use super::targeted::{Targeted, ends_in};
 use std::collections::BTreeSet;
 
 /// What an adapter of PEFT says that it changes, and the modules that it has.
@@ -37,11 +37,7 @@ impl Announced {
 
     /// Whether the adapter has a module of this name in any layer.
     fn has(&self, name: &str) -> bool {
-        self.modules.iter().any(|module| {
-            module
-                .strip_suffix(name)
-                .is_some_and(|before| before.is_empty() || before.ends_with('.'))
-        })
+        self.modules.iter().any(|module| ends_in(module, name))
     }
 }
 

@@ -114,13 +114,16 @@ impl Modules {
         match self {
             Self::Unset | Self::AllLinear => false,
             Self::Matching(expression) => expression.is_match(module).unwrap_or(false),
-            Self::Named(names) => names.iter().any(|name| {
-                module
-                    .strip_suffix(name.as_str())
-                    .is_some_and(|before| before.is_empty() || before.ends_with('.'))
-            }),
+            Self::Named(names) => names.iter().any(|name| ends_in(module, name)),
         }
     }
+}
+
+/// Whether a module's last parts are those of a name.
+pub(super) fn ends_in(module: &str, name: &str) -> bool {
+    module
+        .strip_suffix(name)
+        .is_some_and(|before| before.is_empty() || before.ends_with('.'))
 }
 
 #[cfg(test)]

@@ -434,6 +434,8 @@ mod tests {
             &valid.replace("'n'", "''"),
             &format!("{valid}colour = 'red'"),
             &format!("{valid}[image]\ntile = 1"),
+            &format!("{valid}[image]\nsize = 31"),
+            &format!("{valid}[image]\nsize = 100000"),
             &format!("{valid}[generation]\nmax_new_tokens = 3"),
             &format!("{valid}[generation.max_new_tokens]\nunderstanding = 0"),
         ] {

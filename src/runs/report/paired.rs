@@ -314,6 +314,18 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_that_a_run_has_twice_counts_once() {
+        let one = manifest(&["idm"]);
+        let first = [row(0, "idm", Some(0.5)), row(0, "idm", Some(0.5))];
+        let second = [row(0, "idm", Some(0.75))];
+        let found = RunComparison::new((&one, &first), (&one, &second), None).unwrap();
+        assert_eq!(
+            (found.scenes.len(), found.scores[0].difference.pairs),
+            (1, 1)
+        );
+    }
+
+    #[test]
     fn only_common_scenes_are_paired() {
         let (one, other) = (manifest(&["idm", "simple"]), manifest(&["idm"]));
         let first = [

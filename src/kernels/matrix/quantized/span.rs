@@ -12,8 +12,8 @@ use std::hint::black_box;
 pub(super) trait Numbers<Q: Quantized>: Sized {
     /// Whether they are unpacked in each step. Which bits a step takes is then decided by its run.
     const PACKED: bool;
-    /// The same numbers at an address that the compiler does not know. It would load the lines that
-    /// runs share once for all of them, and move them out of the registers again and again.
+    /// The same numbers at an address that the compiler does not know. Else it loads the lines that
+    /// runs share before the first run, more than the registers hold.
     #[must_use]
     fn opaque(&self) -> Self;
     /// Called before each run of numbers that share a scale.
