@@ -60,6 +60,7 @@ fn matrix(format: WeightFormat, [outputs, inputs]: [usize; 2], random: &mut Pcg6
         }
         WeightFormat::F16 => (2, &[0]),
         WeightFormat::Q8_0 => (34, &[0]),
+        WeightFormat::Q8Of256 => (258, &[0]),
         WeightFormat::Q6K => (210, &[208]),
         WeightFormat::Q5_1 => (24, &[0, 2]),
         WeightFormat::Q5K => (176, &[0, 2]),
@@ -73,7 +74,8 @@ fn matrix(format: WeightFormat, [outputs, inputs]: [usize; 2], random: &mut Pcg6
     };
     let per_block = match format {
         WeightFormat::F32 | WeightFormat::F16 => 1,
-        WeightFormat::Q6K
+        WeightFormat::Q8Of256
+        | WeightFormat::Q6K
         | WeightFormat::Q5K
         | WeightFormat::Q4K
         | WeightFormat::Q3K
@@ -168,7 +170,7 @@ fn main() {
     // The products run in a thread of the pool, as those of the program do.
     rayon::scope(|_| {
         for shape in SHAPES {
-            for format in WeightFormat::ALL {
+            for format in WeightFormat::ALL.into_iter().chain([WeightFormat::Q8Of256]) {
                 let name = format!("{} x {} {format}", shape[0], shape[1]);
                 if wanted.is_empty() || wanted.iter().any(|word| name.contains(word.as_str())) {
                     measure(format, shape, peak);

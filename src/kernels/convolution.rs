@@ -8,7 +8,7 @@
 
 use super::linear::Linear;
 use super::matrix::{Instructions, Kernel, Simd};
-use super::values::with_values;
+use super::values::{in_parts, with_values};
 use super::work::Work;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
@@ -225,18 +225,16 @@ impl Depthwise {
         let taps = self.windows.side * self.windows.side;
         Work::count(out.pixels(), taps, channels, size_of_val(&*self.taps));
         with_values(x, |values| {
-            let mut sums = vec![0f32; out.pixels() * channels];
-            sums.par_chunks_mut(out.columns * channels)
-                .enumerate()
-                .for_each(|(row, sums)| {
-                    Instructions::best().run(Line {
-                        convolution: self,
-                        values,
-                        grid,
-                        row,
-                        sums,
-                    });
+            let line = out.columns * channels;
+            let sums = in_parts(out.pixels() * channels, line, |row, sums| {
+                Instructions::best().run(Line {
+                    convolution: self,
+                    values,
+                    grid,
+                    row,
+                    sums,
                 });
+            });
             Tensor::from_vec(sums, (out.pixels(), channels), &Device::Cpu)
         })
     }

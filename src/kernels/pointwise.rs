@@ -6,7 +6,7 @@
 
 use super::activation::Activation;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
-use super::values::row_by_row;
+use super::values::{both_row_by_row, row_by_row};
 use candle_core::{D, Result, Tensor, bail};
 use std::marker::PhantomData;
 
@@ -45,6 +45,30 @@ impl Activation {
             other => bail!("gates with {other:?} are not supported"),
         }
     }
+
+    /// f(gate) · value of gates and values in tensors of their own.
+    ///
+    /// # Errors
+    /// When they differ in shape, or as [`Self::gated`].
+    pub fn gated_by(self, gates: &Tensor, values: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Silu => gated_by::<SiluGate>(gates, values),
+            Self::GeluTanh => gated_by::<GeluTanhGate>(gates, values),
+            other => bail!("gates with {other:?} are not supported"),
+        }
+    }
+}
+
+fn gated_by<G: Gate>(gates: &Tensor, values: &Tensor) -> Result<Tensor> {
+    let width = gates.dim(D::Minus1)?;
+    both_row_by_row(gates, values, width, |out, gates, values| {
+        Instructions::best().run(GatedByKernel::<G> {
+            gates,
+            values,
+            out,
+            gate: PhantomData,
+        });
+    })
 }
 
 fn gated<G: Gate>(gate_up: &Tensor, width: usize) -> Result<Tensor> {
@@ -212,6 +236,22 @@ impl<G: Gate> Kernel for GatedKernel<'_, G> {
             for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
                 *out = G::apply(*gate) * value;
             }
+        }
+    }
+}
+
+struct GatedByKernel<'a, G> {
+    gates: &'a [f32],
+    values: &'a [f32],
+    out: &'a mut [f32],
+    gate: PhantomData<G>,
+}
+
+impl<G: Gate> Kernel for GatedByKernel<'_, G> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        for ((out, gate), value) in self.out.iter_mut().zip(self.gates).zip(self.values) {
+            *out = G::apply(*gate) * value;
         }
     }
 }
@@ -404,6 +444,10 @@ mod tests {
             [(Activation::Silu, &silu), (Activation::GeluTanh, &gelu)];
         for (activation, gate) in gates {
             let found = activation.gated(&gate_up).unwrap();
+            let half = |first| gate_up.narrow(1, first, x.len()).unwrap();
+            let apart = activation.gated_by(&half(0), &half(x.len())).unwrap();
+            let rows = |x: &Tensor| x.to_vec2::<f32>().unwrap();
+            assert_eq!(rows(&apart), rows(&found));
             for row in found.to_vec2::<f32>().unwrap() {
                 for (found, x) in row.into_iter().zip(&x) {
                     let expected = 3.0 * gate(f64::from(*x));
@@ -428,6 +472,8 @@ mod tests {
         assert!(sigmoid_gated(&odd).is_err());
         assert!(Activation::Silu.gated(&odd).is_err());
         assert!(Activation::Relu.gated(&gate_up).is_err());
+        assert!(Activation::Relu.gated_by(&gate_up, &gate_up).is_err());
+        assert!(Activation::Silu.gated_by(&gate_up, &odd).is_err());
     }
 
     #[test]

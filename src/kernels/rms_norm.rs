@@ -1,8 +1,8 @@
 //! Root mean square normalization.
 
 use super::matrix::{Instructions, Kernel, LANES, Simd};
-use super::values::row_by_row;
-use candle_core::{Result, Tensor};
+use super::values::{both_row_by_row, row_by_row};
+use candle_core::{Result, Tensor, bail};
 
 /// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
 #[derive(Debug)]
@@ -20,6 +20,23 @@ impl RmsNorm {
         }
     }
 
+    /// The norm with a factor for each number of a row.
+    ///
+    /// # Errors
+    /// When there are not as many factors as numbers.
+    pub fn scaled(self, factors: &Tensor) -> Result<Self> {
+        let width = self.width();
+        if factors.dims() != [width] {
+            bail!("{:?} factors for rows of {width} numbers", factors.shape());
+        }
+        let factors = factors.to_vec1::<f32>()?;
+        let weight = self.weight.iter().zip(factors).map(|(w, f)| w * f);
+        Ok(Self {
+            weight: weight.collect(),
+            ..self
+        })
+    }
+
     /// Numbers of a row.
     pub fn width(&self) -> usize {
         self.weight.len()
@@ -29,7 +46,26 @@ impl RmsNorm {
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
         row_by_row(x, width, width, |out, x| {
-            Instructions::best().run(Rows { norm: self, x, out });
+            let residual = None;
+            Instructions::best().run(Rows {
+                norm: self,
+                x,
+                residual,
+                out,
+            });
+        })
+    }
+
+    /// residual + norm(x), both (rows, width).
+    pub fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        both_row_by_row(x, residual, self.weight.len(), |out, x, residual| {
+            let residual = Some(residual);
+            Instructions::best().run(Rows {
+                norm: self,
+                x,
+                residual,
+                out,
+            });
         })
     }
 }
@@ -38,6 +74,7 @@ impl RmsNorm {
 struct Rows<'a> {
     norm: &'a RmsNorm,
     x: &'a [f32],
+    residual: Option<&'a [f32]>,
     out: &'a mut [f32],
 }
 
@@ -68,6 +105,11 @@ impl Kernel for Rows<'_> {
                 *out = value * scale * weight;
             }
         }
+        if let Some(residual) = self.residual {
+            for (out, residual) in self.out.iter_mut().zip(residual) {
+                *out += residual;
+            }
+        }
     }
 }
 
@@ -88,7 +130,16 @@ mod tests {
             .map(|index| (index as f32 * 0.7).sin() * 3.0)
             .collect();
         let x = Tensor::from_vec(values.clone(), (2500, width), &Device::Cpu).unwrap();
-        let found = norm.forward(&x).unwrap().to_vec2::<f32>().unwrap();
+        let found = norm.forward(&x).unwrap();
+        let onto = norm.forward_onto(&x, &x).unwrap();
+        let rows = |x: &Tensor| x.to_vec2::<f32>().unwrap();
+        assert_eq!(rows(&onto), rows(&(&found + &x).unwrap()));
+        let twice = Tensor::full(2f32, width, &Device::Cpu).unwrap();
+        let scaled = RmsNorm::new(weight.clone(), 1e-5).scaled(&twice).unwrap();
+        let expected = (&found * 2.0).unwrap();
+        assert_eq!(rows(&scaled.forward(&x).unwrap()), rows(&expected));
+        assert!(scaled.scaled(&x).is_err());
+        let found = rows(&found);
         for (row, found) in values.chunks(width).zip(found) {
             let mean = row
                 .iter()

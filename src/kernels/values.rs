@@ -71,6 +71,46 @@ pub(crate) fn row_by_row(
     })
 }
 
+/// Clamps numbers to a least and a greatest one; where the first is above the second, to the second.
+/// NaN stays, so that the result shows it.
+#[inline(always)]
+#[allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
+pub(crate) fn clamp(values: &mut [f32], [least, greatest]: [f32; 2]) {
+    for value in values {
+        let raised = if *value < least { least } else { *value };
+        *value = if raised > greatest { greatest } else { raised };
+    }
+}
+
+/// As [`row_by_row`], of two tensors whose rows have as many numbers as the rows to write.
+pub(crate) fn both_row_by_row(
+    a: &Tensor,
+    b: &Tensor,
+    width: usize,
+    apply: impl Fn(&mut [f32], &[f32], &[f32]) + Sync,
+) -> Result<Tensor> {
+    if a.dims() != b.dims() || a.dims().last() != Some(&width) || width == 0 {
+        bail!(
+            "expected rows of {width} numbers, found {:?} and {:?}",
+            a.shape(),
+            b.shape()
+        );
+    }
+    with_values(a, |first| {
+        with_values(b, |second| {
+            let part = (TASK_NUMBERS / width).max(1) * width;
+            let out = in_parts(first.len(), part, |index, out| {
+                let numbers = index * part..index * part + out.len();
+                apply(out, &first[numbers.clone()], &second[numbers]);
+            });
+            Tensor::from_vec(out, a.dims(), a.device())
+        })
+    })
+}
+
 /// `count` numbers that the threads fill in parts of `part`. `fill` takes the index of a part and
 /// the part, which its thread has set to zeros. One thread that zeroed everything first would take
 /// as long as a whole norm or activation.

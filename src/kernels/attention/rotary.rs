@@ -31,6 +31,8 @@ pub struct RotaryRows {
     /// (tokens, pairs)
     angles: Vec<Turn>,
     pairs: usize,
+    /// Parts of a head that turn apart, each with as many pairs.
+    parts: usize,
 }
 
 /// Cosine and sine of an angle.
@@ -129,6 +131,7 @@ impl RotaryEmbedding {
         Ok(RotaryRows {
             angles,
             pairs: self.pairs.len(),
+            parts: 1,
         })
     }
 
@@ -186,7 +189,17 @@ impl RotaryRows {
                 turned(row).chain(turned(column)).collect::<Vec<_>>()
             })
             .collect();
-        Self { angles, pairs }
+        Self {
+            angles,
+            pairs,
+            parts: 1,
+        }
+    }
+
+    /// The same angles for heads whose halves turn apart: each half has pairs of its own.
+    #[must_use]
+    pub fn by_halves(self) -> Self {
+        Self { parts: 2, ..self }
     }
 
     /// The angles of some of the rows.
@@ -196,35 +209,41 @@ impl RotaryRows {
             .get(rows.start * self.pairs..rows.end * self.pairs)
             .expect("the rows are rows of the table")
             .to_vec();
-        Self {
-            angles,
-            pairs: self.pairs,
-        }
+        Self { angles, ..*self }
     }
 
     pub(super) fn fits(&self, tokens: usize, width: usize) -> bool {
-        self.pairs * 2 <= width && self.angles.len() == tokens * self.pairs
+        self.pairs * 2 <= width
+            && self.pairs.is_multiple_of(self.parts)
+            && self.angles.len() == tokens * self.pairs
     }
 
-    /// Rotates a query or key by its token's angles and scales it. Channels i and i + (number of
-    /// pairs) form a pair, as in transformers; those behind the pairs are only scaled.
+    /// Rotates a query or key by its token's angles and scales it. In each part, channels i and i +
+    /// (number of its pairs) form a pair, as in transformers; those behind the parts are only scaled.
     pub(super) fn rotate(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
         let (turned, kept) = head.split_at(2 * self.pairs);
         let (turned_out, kept_out) = out.split_at_mut(2 * self.pairs);
         for (out, value) in kept_out.iter_mut().zip(kept) {
             *out = value * scale;
         }
-        let (first, second) = turned.split_at(self.pairs);
-        let (first_out, second_out) = turned_out.split_at_mut(self.pairs);
         let turns = &self.angles[token * self.pairs..(token + 1) * self.pairs];
-        let pairs = first
-            .iter()
-            .zip(second)
-            .zip(first_out.iter_mut().zip(second_out))
-            .zip(turns);
-        for (((a, b), (a_out, b_out)), turn) in pairs {
-            *a_out = (a * turn.cos - b * turn.sin) * scale;
-            *b_out = (a * turn.sin + b * turn.cos) * scale;
+        let pairs = self.pairs / self.parts;
+        for ((turned, out), turns) in turned
+            .chunks_exact((2 * pairs).max(1))
+            .zip(turned_out.chunks_exact_mut((2 * pairs).max(1)))
+            .zip(turns.chunks_exact(pairs.max(1)))
+        {
+            let (first, second) = turned.split_at(pairs);
+            let (first_out, second_out) = out.split_at_mut(pairs);
+            let pairs = first
+                .iter()
+                .zip(second)
+                .zip(first_out.iter_mut().zip(second_out))
+                .zip(turns);
+            for (((a, b), (a_out, b_out)), turn) in pairs {
+                *a_out = (a * turn.cos - b * turn.sin) * scale;
+                *b_out = (a * turn.sin + b * turn.cos) * scale;
+            }
         }
     }
 }
@@ -271,6 +290,23 @@ mod tests {
         rows(4).rotate(0, &head[..4], 2.0, &mut whole);
         assert_eq!(part[..4], whole);
         assert_eq!(part[4..], [10.0, 12.0, 14.0, 16.0]);
+    }
+
+    #[test]
+    fn halves_of_a_head_turn_apart() {
+        let patches = || [[3, 5]].into_iter();
+        let whole = RotaryRows::of_patches(patches(), 8, 100.0);
+        let apart = RotaryRows::of_patches(patches(), 8, 100.0).by_halves();
+        let head = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
+        // First quarters and then second ones turn as a whole.
+        let quarters = [1.0, 2.0, 5.0, 6.0, 3.0, 4.0, 7.0, 8.0];
+        let (mut expected, mut found) = ([0.0; 8], [0.0; 8]);
+        whole.rotate(0, &quarters, 1.0, &mut expected);
+        apart.rotate(0, &head, 1.0, &mut found);
+        assert!(apart.fits(1, 8));
+        for (at, from) in [0, 1, 4, 5, 2, 3, 6, 7].into_iter().enumerate() {
+            assert_eq!(found[at].to_bits(), expected[from].to_bits(), "{at}");
+        }
     }
 
     #[test]

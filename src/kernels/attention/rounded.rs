@@ -310,69 +310,102 @@ impl Kernel for RoundedKernel<'_> {
     fn run<S: Simd>(self, simd: S) {
         let mut kernel = self;
         kernel.unit.round_queries(simd, &mut kernel.queries);
-        for block in kernel.unit.blocks {
-            let rows = kernel.queries.scales.len();
-            let mut row = 0;
-            while row < rows {
-                row += match rows_at_once(rows - row) {
-                    6 => kernel.attend_from::<S, 6>(simd, block, row),
-                    4 => kernel.attend_from::<S, 4>(simd, block, row),
-                    3 => kernel.attend_from::<S, 3>(simd, block, row),
-                    2 => kernel.attend_from::<S, 2>(simd, block, row),
-                    _ => kernel.attend_from::<S, 1>(simd, block, row),
-                };
-            }
+        let rows = kernel.queries.scales.len();
+        let at_once = rows_at_once(rows) * KEY_VECTORS;
+        let mut scores = vec![[0f32; LANES]; kernel.unit.blocks.len() * at_once];
+        let mut row = 0;
+        while row < rows {
+            let scores = scores.as_mut_slice();
+            row += match rows_at_once(rows - row) {
+                6 => kernel.attend_from::<S, 6>(simd, row, scores),
+                4 => kernel.attend_from::<S, 4>(simd, row, scores),
+                3 => kernel.attend_from::<S, 3>(simd, row, scores),
+                2 => kernel.attend_from::<S, 2>(simd, row, scores),
+                _ => kernel.attend_from::<S, 1>(simd, row, scores),
+            };
         }
     }
 }
 
 impl RoundedKernel<'_> {
-    /// Attends from `R` rows, beginning with `row`, to a block; returns `R`.
+    /// Attends from `R` rows, beginning with `row`, to all blocks; returns `R`. `scores` has room for
+    /// their scores: the maximum of a row is known before its first weight, so that no weight is
+    /// rescaled.
     #[inline(always)]
     fn attend_from<S: Simd, const R: usize>(
         &mut self,
         simd: S,
-        block: &RoundedBlock,
         row: usize,
+        scores: &mut [[f32; LANES]],
     ) -> usize {
+        let (scores, _) = scores.as_chunks_mut::<KEY_VECTORS>();
+        let (scores, _) = scores.as_chunks_mut::<R>();
+        let tops = self.score_all(simd, row, scores);
+        let out = &mut *self.partial;
+        let vectors = out.values.len() / out.weight_sum.len();
+        let values = &mut out.values[row * vectors..(row + R) * vectors];
+        let mut sums = [simd.ints(0); R];
+        for (block, scores) in self.unit.blocks.iter().zip(scores) {
+            let weights = weigh(simd, scores, &tops, &mut sums);
+            // As many sums at once as the registers hold.
+            let mut column = 0;
+            while column < vectors {
+                column += match vectors - column {
+                    4.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
+                        mix::<S, R, 4>(simd, &weights, block, column, values)
+                    }
+                    2.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
+                        mix::<S, R, 2>(simd, &weights, block, column, values)
+                    }
+                    _ => mix::<S, R, 1>(simd, &weights, block, column, values),
+                };
+            }
+        }
+        for (out, sum) in out.weight_sum[row..row + R].iter_mut().zip(sums) {
+            *out = simd.sum(simd.to_floats(sum));
+        }
+        R
+    }
+
+    /// The scores of `R` rows with all blocks; returns the highest of each row.
+    #[inline(always)]
+    fn score_all<S: Simd, const R: usize>(
+        &self,
+        simd: S,
+        row: usize,
+        scores: &mut [Scores<R>],
+    ) -> [f32; R] {
         let pairs = self.unit.rows.shape().width.div_ceil(2);
         let rows = self.queries.pairs[row * pairs..(row + R) * pairs]
             .as_chunks::<R>()
             .0;
-        let factors: [f32; R] =
-            std::array::from_fn(|r| self.queries.scales[row + r] * block.key_scale);
-        // As many sums at once as the registers hold.
-        let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
-        let mut column = 0;
-        while column < KEY_VECTORS {
-            column += if S::REGISTERS >= MIN_TILE_REGISTERS {
-                score::<S, R, KEY_VECTORS>(simd, rows, block, column, &factors, &mut scores)
-            } else {
-                score::<S, R, 1>(simd, rows, block, column, &factors, &mut scores)
-            };
-        }
-        let (weights, rescale) = weigh(
-            simd,
-            block.positions,
-            &mut scores,
-            &mut self.partial.max_score[row..row + R],
-            &mut self.partial.weight_sum[row..row + R],
-        );
-        let vectors = block.value_scales.len();
-        let out = &mut self.partial.values[row * vectors..(row + R) * vectors];
-        let mut column = 0;
-        while column < vectors {
-            column += match vectors - column {
-                4.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
-                    mix::<S, R, 4>(simd, &weights, block, column, rescale, out)
+        let mut most = [simd.floats(f32::NEG_INFINITY); R];
+        for (block, scores) in self.unit.blocks.iter().zip(scores) {
+            let factors: [f32; R] =
+                std::array::from_fn(|r| self.queries.scales[row + r] * block.key_scale);
+            // As many sums at once as the registers hold.
+            let mut column = 0;
+            while column < KEY_VECTORS {
+                column += if S::REGISTERS >= MIN_TILE_REGISTERS {
+                    score::<S, R, KEY_VECTORS>(simd, rows, block, column, &factors, scores)
+                } else {
+                    score::<S, R, 1>(simd, rows, block, column, &factors, scores)
+                };
+            }
+            for (most, scores) in most.iter_mut().zip(scores) {
+                if block.positions < BLOCK_POSITIONS {
+                    scores.as_flattened_mut()[block.positions..].fill(f32::NEG_INFINITY);
                 }
-                2.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
-                    mix::<S, R, 2>(simd, &weights, block, column, rescale, out)
+                for vector in scores {
+                    *most = simd.max(*most, simd.load(vector));
                 }
-                _ => mix::<S, R, 1>(simd, &weights, block, column, rescale, out),
-            };
+            }
         }
-        R
+        let mut tops = [0.0; R];
+        for (top, most) in tops.iter_mut().zip(most) {
+            *top = simd.max_lane(most);
+        }
+        tops
     }
 }
 
@@ -428,48 +461,24 @@ fn score<S: Simd, const R: usize, const C: usize>(
 /// Pairs of weights of rows in a block.
 type Weights<const R: usize> = [[[i32; LANES]; KEY_VECTORS / 2]; R];
 
-/// Turns scores into weights 2^(score − maximum score) and adds them to the weight sums. Returns the
-/// weights, and the factor that rescales the rows' earlier ones to the new maximum.
+/// Turns scores into weights 2^(score − maximum score), and adds them to the sums of the rows.
 #[inline(always)]
 fn weigh<S: Simd, const R: usize>(
     simd: S,
-    positions: usize,
-    scores: &mut Scores<R>,
-    max_score: &mut [f32],
-    weight_sum: &mut [f32],
-) -> (Weights<R>, [f32; LANES]) {
+    scores: &Scores<R>,
+    tops: &[f32; R],
+    sums: &mut [S::Ints; R],
+) -> Weights<R> {
     let mut weights = [[[0; LANES]; KEY_VECTORS / 2]; R];
-    let mut growth = [0f32; LANES];
-    let mut sums = [simd.ints(0); R];
-    // Separate loops, so that the steps of different rows overlap.
-    for r in 0..R {
-        if positions < BLOCK_POSITIONS {
-            scores[r].as_flattened_mut()[positions..].fill(f32::NEG_INFINITY);
-        }
-        let mut most = simd.load(&scores[r][0]);
-        for vector in &scores[r][1..] {
-            most = simd.max(most, simd.load(vector));
-        }
-        let top = max_score[r].max(simd.max_lane(most));
-        growth[r] = (max_score[r] - top) * std::f32::consts::LN_2;
-        max_score[r] = top;
-    }
     for r in 0..R {
         // Of the rounded weights, since these multiply the values.
-        let top = max_score[r];
         for (pairs, [low, high]) in weights[r].iter_mut().zip(scores[r].as_chunks::<2>().0) {
-            let both = simd.pair(weight(simd, low, top), weight(simd, high, top));
+            let both = simd.pair(weight(simd, low, tops[r]), weight(simd, high, tops[r]));
             simd.store_ints(both, pairs);
             sums[r] = simd.dot_pairs(sums[r], both, ONES);
         }
     }
-    let mut rescale = [0f32; LANES];
-    simd.store(simd.exp(simd.load(&growth)), &mut rescale);
-    for r in 0..R {
-        let sum = simd.sum(simd.to_floats(sums[r]));
-        weight_sum[r] = weight_sum[r] * rescale[r] + sum;
-    }
-    (weights, rescale)
+    weights
 }
 
 /// The weights of scores beside the highest.
@@ -507,14 +516,13 @@ fn power_of_two<S: Simd>(simd: S, x: S::Floats) -> S::Floats {
     simd.mul(series, simd.two_to_the(n))
 }
 
-/// Rescales `C` vectors of the rows' sums and adds the weighted values; returns `C`.
+/// Adds the weighted values to `C` vectors of the rows' sums; returns `C`.
 #[inline(always)]
 fn mix<S: Simd, const R: usize, const C: usize>(
     simd: S,
     weights: &Weights<R>,
     block: &RoundedBlock,
     column: usize,
-    rescale: [f32; LANES],
     out: &mut [[f32; LANES]],
 ) -> usize {
     let vectors = block.value_scales.len();
@@ -524,12 +532,9 @@ fn mix<S: Simd, const R: usize, const C: usize>(
     for r in 0..R {
         for c in 0..C {
             let place = &mut out[r * vectors + column + c];
-            let earlier = simd.mul(simd.load(place), simd.floats(rescale[r]));
             let scale = simd.load(&block.value_scales[column + c]);
-            simd.store(
-                simd.mul_add(simd.to_floats(sums[r][c]), scale, earlier),
-                place,
-            );
+            let sum = simd.mul_add(simd.to_floats(sums[r][c]), scale, simd.load(place));
+            simd.store(sum, place);
         }
     }
     C

@@ -54,8 +54,9 @@ fn plain(
         let mut out = Vec::new();
         for token in 0..tokens {
             for head in 0..shape.query_heads {
-                let query = rows.heads(rows.tokens() - tokens + token, head, 1);
                 let key_head = head / shape.group();
+                let queries = rows.queries(rows.tokens() - tokens + token, key_head);
+                let query = &queries[head % shape.group() * shape.width..][..shape.width];
                 let seen = mask.seen_by(token);
                 let scores: Vec<f64> = seen
                     .clone()

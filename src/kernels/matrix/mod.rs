@@ -19,7 +19,6 @@ mod stored_format;
 mod tests;
 mod weight_format;
 
-use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -53,14 +52,29 @@ pub struct Matrix {
     in_two_terms: bool,
 }
 
+/// What stands beside a product of clamped activations: f(clamped(scale · (product + bias) +
+/// residual)).
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Beside<'a> {
+    /// (outputs)
+    pub(crate) bias: Option<&'a Tensor>,
+    /// (outputs)
+    pub(crate) scale: Option<&'a Tensor>,
+    /// (tokens, outputs)
+    pub(crate) residual: Option<&'a Tensor>,
+    /// Least and greatest of the activations, and of the sums.
+    pub(crate) bounds: Option<[[f32; 2]; 2]>,
+    pub(crate) activation: Option<Activation>,
+}
+
 impl Matrix {
     /// Whether a weight format can hold a matrix of this shape.
     pub fn fits(weight_format: WeightFormat, outputs: usize, inputs: usize) -> bool {
         outputs > 0 && inputs > 0 && weight_format.matrix_bytes(outputs, inputs).is_some()
     }
 
-    /// Quantizes row-major values with ggml's reference quantizers. Zeros fill the last block of a
-    /// row.
+    /// Quantizes row-major values, to ggml's formats with its reference quantizers. Zeros fill the
+    /// last block of a row.
     pub fn quantize(
         values: &[f32],
         outputs: usize,
@@ -74,9 +88,7 @@ impl Matrix {
                 values.len()
             );
         }
-        let StoredFormat::Ggml(format) = weight_format.stored() else {
-            bail!("{weight_format} is read from files, and no number is rounded to it");
-        };
+        let format = weight_format.stored();
         let values = in_whole_blocks(values, inputs, weight_format.block());
         let mut blocks =
             vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
@@ -85,8 +97,7 @@ impl Matrix {
         pieces
             .zip(values.par_chunks(TASK_NUMBERS))
             .try_for_each(|(blocks, values)| {
-                let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
-                blocks.copy_from_slice(&QTensor::quantize(&tensor, format)?.data()?);
+                blocks.copy_from_slice(&format.round(values)?);
                 Result::Ok(())
             })?;
         Self::from_blocks(weight_format, outputs, inputs, &blocks)
@@ -261,18 +272,19 @@ impl Matrix {
 
     /// Maps f32 rows (tokens, inputs) to (tokens, outputs).
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.forward_then(x, None, None, None)
+        self.forward_then(x, &Beside::default())
     }
 
-    /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens,
-    /// outputs), and a function of each sum, in one pass over the numbers.
-    pub(crate) fn forward_then(
-        &self,
-        x: &Tensor,
-        bias: Option<&Tensor>,
-        residual: Option<&Tensor>,
-        activation: Option<Activation>,
-    ) -> Result<Tensor> {
+    /// The product with rows (tokens, inputs), and what is computed beside it in one pass over the
+    /// numbers.
+    pub(crate) fn forward_then(&self, x: &Tensor, beside: &Beside<'_>) -> Result<Tensor> {
+        let Beside {
+            bias,
+            scale,
+            residual,
+            bounds,
+            activation,
+        } = *beside;
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
             bail!(
@@ -281,7 +293,11 @@ impl Matrix {
             );
         }
         let shape = [tokens, self.outputs];
-        let of_shapes = [(bias, &shape[1..]), (residual, &shape[..])];
+        let of_shapes = [
+            (bias, &shape[1..]),
+            (scale, &shape[1..]),
+            (residual, &shape[..]),
+        ];
         for (tensor, expected) in of_shapes {
             if let Some(tensor) = tensor.filter(|tensor| tensor.dims() != expected) {
                 let found = tensor.shape();
@@ -292,40 +308,49 @@ impl Matrix {
         Work::count(tokens, self.inputs, self.outputs, self.bytes());
         with_values(x, |x| {
             with_optional(bias, |bias| {
-                with_optional(residual, |residual| {
-                    let onto = residual.map_or(Onto::Nothing, Onto::Residual);
-                    let then = Then {
-                        onto,
-                        bias,
-                        activation,
-                    };
-                    self.product(x, tokens, then)
+                with_optional(scale, |scale| {
+                    with_optional(residual, |residual| {
+                        let onto = residual.map_or(Onto::Nothing, Onto::Residual);
+                        let then = Then {
+                            onto,
+                            bias,
+                            scale,
+                            bounds: bounds.map(|[_, of_sums]| of_sums),
+                            activation,
+                        };
+                        let bounds = bounds.map(|[of_activations, _]| of_activations);
+                        self.product(Pass { x, bounds, then }, tokens)
+                    })
                 })
             })
         })
     }
 
     /// The result of [`Self::forward_then`].
-    fn product(&self, x: &[f32], tokens: usize, then: Then<'_>) -> Result<Tensor> {
+    fn product(&self, pass: Pass<'_>, tokens: usize) -> Result<Tensor> {
+        let Pass { x, bounds, then } = pass;
         let mut results = Results::with_room(tokens, self.outputs);
         for segment in &self.segments {
             let rounded = segment.weight_format().activations_a_scale();
             let lost = rounded
                 .filter(|_| self.in_two_terms)
-                .map(|scaled| quantized::lost_by_rounding(x, self.inputs, scaled));
-            // The second pass completes the sums, so the activation waits for it.
+                .map(|scaled| quantized::lost_by_rounding(x, bounds, self.inputs, scaled));
+            // The second pass completes the sums, so bounds and activation wait for it.
             let passes = match &lost {
-                None => &[Pass { x, then }][..],
+                None => &[pass][..],
                 Some(lost) => &[
                     Pass {
                         x,
+                        bounds,
                         then: Then {
+                            bounds: None,
                             activation: None,
                             ..then
                         },
                     },
                     Pass {
                         x: lost,
+                        bounds: None,
                         then: Then {
                             onto: Onto::Written,
                             bias: None,

@@ -91,6 +91,7 @@ impl Layout {
                     (34, 2, 1, None),
                 ],
             ),
+            WeightFormat::Q8Of256 => (256, &[(2, 4, 64, Bias), (0, 2, 1, None)]),
             WeightFormat::Q6K => (
                 256,
                 &[(0, 4, 48, None), (192, 1, 16, None), (208, 2, 1, None)],

@@ -5,13 +5,15 @@ use super::float::{Float, Half, Single};
 use super::format::{COLUMNS, Format, MAX_BATCH, PackedSpan, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
-use super::quantized::{Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
+use super::quantized::{
+    Iq4Nl, Iq4Xs, Mxfp4, Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0, Q8Of256,
+};
 use super::results::Columns;
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 use crate::Awake;
 use crate::read_ahead;
-use crate::values::in_parts;
+use crate::values::{clamp, in_parts};
 use rayon::prelude::*;
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -44,34 +46,37 @@ const PREFETCH_BYTES: usize = 8 << 10;
 /// Pieces of work for each thread; a slower core takes fewer of them.
 const PIECES_PER_THREAD: usize = 4;
 
-/// Writes the products of row-major activations with tiles to columns.
+/// Writes the products of row-major activations, clamped to bounds, with tiles to columns.
 pub(super) fn multiply(
     tiles: &PackedTiles,
     x: &[f32],
+    bounds: Option<[f32; 2]>,
     out: &Columns<'_>,
     instructions: Instructions,
 ) {
     match tiles.weight_format() {
-        WeightFormat::F32 => multiply_as::<Float<Single>>(tiles, x, out, instructions),
-        WeightFormat::F16 => multiply_as::<Float<Half>>(tiles, x, out, instructions),
-        WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, out, instructions),
-        WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, out, instructions),
-        WeightFormat::Q5_1 => multiply_as::<Q5_1>(tiles, x, out, instructions),
-        WeightFormat::Q5K => multiply_as::<Q5K>(tiles, x, out, instructions),
-        WeightFormat::Q5_0 => multiply_as::<Q5_0>(tiles, x, out, instructions),
-        WeightFormat::Q4_1 => multiply_as::<Q4_1>(tiles, x, out, instructions),
-        WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, out, instructions),
-        WeightFormat::Iq4Nl => multiply_as::<Iq4Nl>(tiles, x, out, instructions),
-        WeightFormat::Iq4Xs => multiply_as::<Iq4Xs>(tiles, x, out, instructions),
-        WeightFormat::Mxfp4 => multiply_as::<Mxfp4>(tiles, x, out, instructions),
-        WeightFormat::Q4_0 => multiply_as::<Q4_0>(tiles, x, out, instructions),
-        WeightFormat::Q3K => multiply_as::<Q3K>(tiles, x, out, instructions),
+        WeightFormat::F32 => multiply_as::<Float<Single>>(tiles, x, bounds, out, instructions),
+        WeightFormat::F16 => multiply_as::<Float<Half>>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q8Of256 => multiply_as::<Q8Of256>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q5_1 => multiply_as::<Q5_1>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q5K => multiply_as::<Q5K>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q5_0 => multiply_as::<Q5_0>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q4_1 => multiply_as::<Q4_1>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, bounds, out, instructions),
+        WeightFormat::Iq4Nl => multiply_as::<Iq4Nl>(tiles, x, bounds, out, instructions),
+        WeightFormat::Iq4Xs => multiply_as::<Iq4Xs>(tiles, x, bounds, out, instructions),
+        WeightFormat::Mxfp4 => multiply_as::<Mxfp4>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q4_0 => multiply_as::<Q4_0>(tiles, x, bounds, out, instructions),
+        WeightFormat::Q3K => multiply_as::<Q3K>(tiles, x, bounds, out, instructions),
     }
 }
 
 fn multiply_as<F: Format>(
     tiles: &PackedTiles,
     x: &[f32],
+    bounds: Option<[f32; 2]>,
     out: &Columns<'_>,
     instructions: Instructions,
 ) {
@@ -100,6 +105,7 @@ fn multiply_as<F: Format>(
                 inputs,
                 rows: &rows[first..rows.len().min(first + batch_rows * inputs)],
                 words,
+                bounds,
                 format: PhantomData,
             });
         };
@@ -168,6 +174,7 @@ struct Pack<'a, F> {
     inputs: usize,
     rows: &'a [f32],
     words: &'a mut [i32],
+    bounds: Option<[f32; 2]>,
     format: PhantomData<F>,
 }
 
@@ -193,11 +200,14 @@ impl<F: Format> Kernel for Pack<'_, F> {
                     simd.prefetch(next.wrapping_add(line).cast());
                 }
                 let values = &values[..F::SPAN.min(self.inputs - span * F::SPAN)];
-                if values.len() == F::SPAN {
+                if values.len() == F::SPAN && self.bounds.is_none() {
                     F::pack(simd, values, packed);
                 } else {
                     padded[..values.len()].copy_from_slice(values);
                     padded[values.len()..].fill(0.0);
+                    if let Some(bounds) = self.bounds {
+                        clamp(&mut padded[..values.len()], bounds);
+                    }
                     F::pack(simd, &padded, packed);
                 }
             }

@@ -11,6 +11,7 @@ use super::packed_tiles::PackedTiles;
 use super::product;
 use super::simd::{Instructions, Simd};
 use crate::activation::Activation;
+use crate::values::clamp;
 use candle_core::{Device, Tensor, bail};
 use std::mem::MaybeUninit;
 
@@ -34,6 +35,8 @@ pub(super) struct Results {
 pub(super) struct Pass<'a> {
     /// (rows, inputs)
     pub(super) x: &'a [f32],
+    /// Least and greatest that the activations are clamped to.
+    pub(super) bounds: Option<[f32; 2]>,
     pub(super) then: Then<'a>,
 }
 
@@ -43,7 +46,11 @@ pub(super) struct Then<'a> {
     pub(super) onto: Onto<'a>,
     /// A number for each output of the whole product.
     pub(super) bias: Option<&'a [f32]>,
-    /// Applied to the sum of all these.
+    /// A factor for each output of the whole product, of its sum and bias.
+    pub(super) scale: Option<&'a [f32]>,
+    /// Least and greatest that the sum of all these is clamped to.
+    pub(super) bounds: Option<[f32; 2]>,
+    /// Applied to the sum.
     pub(super) activation: Option<Activation>,
 }
 
@@ -85,7 +92,7 @@ impl Results {
         if passes.is_empty() || !room || !self.fit(tiles, passes) {
             return;
         }
-        for Pass { x, then } in passes {
+        for Pass { x, bounds, then } in passes {
             let columns = Columns {
                 start: self.numbers.spare_capacity_mut().as_mut_ptr(),
                 stride: self.outputs,
@@ -94,24 +101,30 @@ impl Results {
                 rows: self.rows,
                 then: *then,
             };
-            product::multiply(tiles, x, &columns, instructions);
+            product::multiply(tiles, x, *bounds, &columns, instructions);
         }
         self.written += tiles.outputs();
     }
 
     /// Whether each pass has a number for each place, and the first alone needs no earlier one.
     fn fit(&self, tiles: &PackedTiles, passes: &[Pass<'_>]) -> bool {
-        passes.iter().enumerate().all(|(index, Pass { x, then })| {
-            let onto = match then.onto {
-                Onto::Nothing => index == 0,
-                Onto::Residual(residual) => {
-                    index == 0 && residual.len() == self.rows * self.outputs
-                }
-                Onto::Written => index > 0,
-            };
-            onto && x.len() == self.rows * tiles.inputs()
-                && then.bias.is_none_or(|bias| bias.len() == self.outputs)
-        })
+        passes
+            .iter()
+            .enumerate()
+            .all(|(index, Pass { x, then, .. })| {
+                let onto = match then.onto {
+                    Onto::Nothing => index == 0,
+                    Onto::Residual(residual) => {
+                        index == 0 && residual.len() == self.rows * self.outputs
+                    }
+                    Onto::Written => index > 0,
+                };
+                onto && x.len() == self.rows * tiles.inputs()
+                    && [then.bias, then.scale]
+                        .iter()
+                        .flatten()
+                        .all(|row| row.len() == self.outputs)
+            })
     }
 
     /// The numbers, (rows, outputs).
@@ -170,6 +183,9 @@ impl Columns<'_> {
             // SAFETY: the caller says that an earlier pass has written what is read here.
             unsafe { self.complete(simd, place, column, sums) };
         }
+        if let Some(bounds) = self.then.bounds {
+            clamp(sums.as_flattened_mut().as_flattened_mut(), bounds);
+        }
         if let Some(activation) = self.then.activation {
             let values = sums.as_flattened_mut().as_flattened_mut();
             simd.run(activation.in_place(values));
@@ -202,6 +218,9 @@ impl Columns<'_> {
         if let Some(bias) = self.then.bias {
             add(simd, sums, &bias[self.first + column..][..count]);
         }
+        if let Some(scale) = self.then.scale {
+            multiply(simd, sums, &scale[self.first + column..][..count]);
+        }
         match self.then.onto {
             // −0 becomes 0, as in a sum that starts at 0.
             Onto::Nothing => add(simd, sums, &[0.0; COLUMNS]),
@@ -232,10 +251,29 @@ fn add<S: Simd>(simd: S, sums: &mut TileSums, numbers: &[f32]) {
     }
 }
 
+/// Multiplies sums by as many numbers.
+#[inline(always)]
+fn multiply<S: Simd>(simd: S, sums: &mut TileSums, numbers: &[f32]) {
+    if let Some(numbers) = numbers.first_chunk::<COLUMNS>() {
+        for (sums, numbers) in sums.iter_mut().zip(numbers.as_chunks().0) {
+            simd.store(simd.mul(simd.load(sums), simd.load(numbers)), sums);
+        }
+    } else {
+        for (sum, number) in sums.as_flattened_mut().iter_mut().zip(numbers) {
+            *sum *= number;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::weight_format::WeightFormat;
     use super::*;
+
+    fn pass<'a>(x: &'a [f32], then: Then<'a>) -> Pass<'a> {
+        let bounds = None;
+        Pass { x, bounds, then }
+    }
 
     #[test]
     fn columns_that_nobody_wrote_are_no_result() {
@@ -260,17 +298,21 @@ mod tests {
             results.append(&tiles, passes, Instructions::best());
             results.finish()
         };
-        let whole = finished(3, &[Pass { x: &x, then }]).unwrap();
+        let whole = finished(3, &[pass(&x, then)]).unwrap();
         assert_eq!(whole.to_vec2::<f32>().unwrap(), [[0.0; 3]; 2]);
         let short = &x[..2];
         assert!(finished(3, &[]).is_err());
-        assert!(finished(2, &[Pass { x: &x, then }]).is_err());
-        assert!(finished(4, &[Pass { x: &x, then }]).is_err());
-        assert!(finished(3, &[Pass { x: short, then }]).is_err());
-        for then in [residual, bias, written] {
-            assert!(finished(3, &[Pass { x: &x, then }]).is_err());
+        assert!(finished(2, &[pass(&x, then)]).is_err());
+        assert!(finished(4, &[pass(&x, then)]).is_err());
+        assert!(finished(3, &[pass(short, then)]).is_err());
+        let scale = Then {
+            scale: Some(&long),
+            ..then
+        };
+        for then in [residual, bias, scale, written] {
+            assert!(finished(3, &[pass(&x, then)]).is_err());
         }
-        let twice = [Pass { x: &x, then }; 2];
+        let twice = [pass(&x, then); 2];
         assert!(finished(3, &twice).is_err());
     }
 }

@@ -1,8 +1,8 @@
 //! Number formats of tensors in files.
 
 use super::blocks::widen;
-use candle_core::Result;
-use candle_core::quantized::GgmlDType;
+use candle_core::quantized::{GgmlDType, QTensor};
+use candle_core::{Device, Result, Tensor, bail};
 use half::f16;
 
 /// Number format of a tensor in a file (ggml, `ggml-common.h`).
@@ -16,6 +16,8 @@ pub enum StoredFormat {
     Iq4Xs,
     /// 4-bit floats with an exponent for every 32 (OCP Microscaling).
     Mxfp4,
+    /// 8 bits a number, with a scale of 16 bits for every 256. No file has it.
+    Q8Of256,
 }
 
 /// The table of [`StoredFormat::Iq4Nl`] and [`StoredFormat::Iq4Xs`] (`kvalues_iq4nl`).
@@ -29,6 +31,8 @@ pub(super) const MXFP4_BIAS: i32 = 128;
 /// Numbers with one scale.
 /// Why: docs/decisions/121-blocks-of-32.md.
 const BLOCK: usize = 32;
+/// Numbers of a large block.
+const SPAN: usize = 256;
 
 impl From<GgmlDType> for StoredFormat {
     fn from(format: GgmlDType) -> Self {
@@ -42,7 +46,7 @@ impl StoredFormat {
         match self {
             Self::Ggml(format) => format.block_size(),
             Self::Iq4Nl | Self::Mxfp4 => BLOCK,
-            Self::Iq4Xs => 256,
+            Self::Iq4Xs | Self::Q8Of256 => SPAN,
         }
     }
 
@@ -53,6 +57,7 @@ impl StoredFormat {
             Self::Iq4Nl => 18,
             Self::Iq4Xs => 136,
             Self::Mxfp4 => 17,
+            Self::Q8Of256 => 2 + SPAN,
         }
     }
 
@@ -67,6 +72,7 @@ impl StoredFormat {
             Self::Iq4Nl => "iq4_nl".into(),
             Self::Iq4Xs => "iq4_xs".into(),
             Self::Mxfp4 => "mxfp4".into(),
+            Self::Q8Of256 => "q8_256".into(),
         }
     }
 
@@ -88,6 +94,11 @@ impl StoredFormat {
                 );
             }),
             Self::Iq4Xs => each::<136>(&bytes, |block| iq4_xs(block, &mut values)),
+            Self::Q8Of256 => each::<{ 2 + SPAN }>(&bytes, |block| {
+                let scale = half(block, 0).to_f32();
+                let number = |byte: &u8| scale * f32::from(byte.cast_signed());
+                values.extend(block[2..].iter().map(number));
+            }),
             Self::Mxfp4 => each::<17>(&bytes, |block| {
                 let scale = f64::from(i32::from(block[0]) - MXFP4_BIAS).exp2() as f32;
                 put(&mut values, scale, &nibbles(&block[1..], &MXFP4));
@@ -95,6 +106,52 @@ impl StoredFormat {
         }
         Ok(values)
     }
+
+    /// Rounds the numbers of whole blocks.
+    ///
+    /// # Errors
+    /// When no number is rounded to the format, but read from files.
+    pub(super) fn round(self, values: &[f32]) -> Result<Vec<u8>> {
+        match self {
+            Self::Ggml(format) => {
+                let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
+                Ok(QTensor::quantize(&tensor, format)?.data()?.into_owned())
+            }
+            Self::Q8Of256 => {
+                let blocks = values.as_chunks().0;
+                let mut bytes = Vec::with_capacity(blocks.len() * self.type_size());
+                for block in blocks {
+                    bytes.extend(q8_of_256(block));
+                }
+                Ok(bytes)
+            }
+            Self::Iq4Nl | Self::Iq4Xs | Self::Mxfp4 => {
+                let name = self.name();
+                bail!("{name} is read from files, and no number is rounded to it")
+            }
+        }
+    }
+}
+
+/// The scale and the numbers of a block.
+fn q8_of_256(values: &[f32; SPAN]) -> [u8; 2 + SPAN] {
+    /// Largest magnitude of a number.
+    const LARGEST: f32 = 127.0;
+    /// A sum with it is rounded to a whole number.
+    const ROUNDING: f32 = 1.5 * (1 << 23) as f32;
+    let largest = values.iter().fold(0f32, |so_far, v| so_far.max(v.abs()));
+    let scale = f16::from_f32(largest / LARGEST);
+    let step = scale.to_f32();
+    let mut block = [0; 2 + SPAN];
+    block[..2].copy_from_slice(&scale.to_le_bytes());
+    for (byte, value) in block[2..].iter_mut().zip(values) {
+        // Beside a step of 0, all numbers are zeros.
+        let number = if step > 0.0 { value / step } else { 0.0 };
+        // Ties to even, as `round_ties_even`, which is a call on most processors.
+        let rounded = number.clamp(-LARGEST, LARGEST) + ROUNDING - ROUNDING;
+        *byte = (rounded as i8).cast_unsigned();
+    }
+    block
 }
 
 fn each<const BYTES: usize>(bytes: &[u8], mut convert: impl FnMut(&[u8; BYTES])) {
@@ -168,6 +225,31 @@ mod tests {
         let found = StoredFormat::Iq4Xs.widen(block).unwrap();
         let expected = [0.25 * -127.0, 0.25 * -32.0 * -127.0].map(f32::to_bits);
         assert_eq!([0, 32].map(|at| found[at].to_bits()), expected);
+    }
+
+    #[test]
+    fn numbers_of_a_block_of_256_are_rounded_to_the_nearest_of_255() {
+        let rounded = |values: &[f32]| {
+            let bytes = StoredFormat::Q8Of256.round(values).unwrap();
+            StoredFormat::Q8Of256.widen(bytes).unwrap()
+        };
+        let values: Vec<f32> = (0..2 * SPAN)
+            .map(|index| (index * 37 % 255) as f32 - 127.0)
+            .collect();
+        assert_eq!(rounded(&values), values);
+        for factor in [1e-3, 0.3, 500.0] {
+            let values: Vec<f32> = values.iter().map(|value| value * factor).collect();
+            for (found, value) in rounded(&values).iter().zip(&values) {
+                // Half a step, and what the scale loses in 11 bits.
+                let allowed = factor * (0.51 + 127.0 / 2048.0);
+                assert!((found - value).abs() <= allowed, "{found} {value}");
+            }
+        }
+        // Beside the smallest scale, all numbers are zeros.
+        for small in [0.0, 1e-30] {
+            assert_eq!(rounded(&[small; SPAN]), [0.0; SPAN]);
+        }
+        assert!(StoredFormat::Mxfp4.round(&values).is_err());
     }
 
     #[test]

@@ -6,14 +6,15 @@ use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Formats that numbers are rounded to, and those that only files have.
+/// Formats that can be chosen, and those that only files or memory have.
 fn every_format() -> impl Iterator<Item = WeightFormat> {
-    let only_in_files = [
+    let others = [
         WeightFormat::Iq4Nl,
         WeightFormat::Iq4Xs,
         WeightFormat::Mxfp4,
+        WeightFormat::Q8Of256,
     ];
-    WeightFormat::ALL.into_iter().chain(only_in_files)
+    WeightFormat::ALL.into_iter().chain(others)
 }
 
 /// Random blocks with scales below `largest`.
@@ -61,7 +62,8 @@ fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
 fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec<f32> {
     let mut results = Results::with_room(x.len() / tiles.inputs(), tiles.outputs());
     let then = Then::default();
-    results.append(tiles, &[Pass { x, then }], instructions);
+    let bounds = None;
+    results.append(tiles, &[Pass { x, bounds, then }], instructions);
     results
         .finish()
         .unwrap()
@@ -325,8 +327,9 @@ fn zeros_fill_the_last_block_of_a_row() {
         (528_usize, WeightFormat::Q8_0),
         (787, WeightFormat::Q5_0),
         (515, WeightFormat::Q4_1),
+        (787, WeightFormat::Q8Of256),
     ] {
-        let whole = inputs.next_multiple_of(32);
+        let whole = inputs.next_multiple_of(weight_format.block());
         let filled = |rows: &[f32]| -> Vec<f32> {
             let rows = rows.chunks(inputs);
             rows.flat_map(|row| [row, &vec![0.0; whole - inputs]].concat())
@@ -421,7 +424,14 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
         (&x.narrow(1, 9, 88).unwrap() * 2.0).unwrap(),
     );
     let onto = stack
-        .forward_then(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual), None)
+        .forward_then(
+            &x,
+            &Beside {
+                bias: Some(&bias.squeeze(0).unwrap()),
+                residual: Some(&residual),
+                ..Beside::default()
+            },
+        )
         .unwrap();
     let sum = (stack.forward(&x).unwrap().broadcast_add(&bias).unwrap() + &residual).unwrap();
     let difference = (onto - sum)
@@ -433,7 +443,18 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
         .to_scalar::<f32>()
         .unwrap();
     assert!(difference < 1e-3, "{difference}");
-    assert!(stack.forward_then(&x, None, Some(&x), None).is_err());
+    for beside in [
+        Beside {
+            residual: Some(&x),
+            ..Beside::default()
+        },
+        Beside {
+            scale: Some(&x),
+            ..Beside::default()
+        },
+    ] {
+        assert!(stack.forward_then(&x, &beside).is_err());
+    }
     let starts = [0, 32, 52, 69, 85];
     for (start, rows) in starts.into_iter().zip(rows) {
         let found = stack.rows(&[start, start + 2]).unwrap();

@@ -18,6 +18,10 @@ pub enum WeightFormat {
     F16,
     /// 8 bits a number and a scale for every 32 (8.5 bits).
     Q8_0,
+    /// 8 bits a number and a scale for every 256 (8.06 bits). Only memory has it.
+    /// Why: docs/decisions/151-one-scale-for-256.md.
+    #[serde(rename = "q8_256")]
+    Q8Of256,
     /// 6 bits a number and a scale for every 16, in blocks of 256 (6.56 bits).
     #[serde(rename = "q6_k")]
     Q6K,
@@ -69,6 +73,7 @@ impl WeightFormat {
             Self::F32 => "f32",
             Self::F16 => "f16",
             Self::Q8_0 => "q8_0",
+            Self::Q8Of256 => "q8_256",
             Self::Q6K => "q6_k",
             Self::Q5_1 => "q5_1",
             Self::Q5K => "q5_k",
@@ -94,7 +99,7 @@ impl WeightFormat {
             | Self::Q4_0
             | Self::Iq4Nl
             | Self::Mxfp4 => 32,
-            Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K | Self::Iq4Xs => 256,
+            Self::Q8Of256 | Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K | Self::Iq4Xs => 256,
         }
     }
 
@@ -110,6 +115,7 @@ impl WeightFormat {
             Self::F32 => 4,
             Self::F16 => 2,
             Self::Q8_0 => 34,
+            Self::Q8Of256 => 258,
             Self::Q6K => 210,
             Self::Q5_1 => 24,
             Self::Q5K => 176,
@@ -128,7 +134,13 @@ impl WeightFormat {
     pub fn halves(self) -> &'static [usize] {
         match self {
             Self::F32 | Self::Mxfp4 => &[],
-            Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 | Self::Iq4Nl | Self::Iq4Xs => &[0],
+            Self::F16
+            | Self::Q8_0
+            | Self::Q8Of256
+            | Self::Q5_0
+            | Self::Q4_0
+            | Self::Iq4Nl
+            | Self::Iq4Xs => &[0],
             Self::Q5_1 | Self::Q5K | Self::Q4_1 | Self::Q4K => &[0, 2],
             Self::Q6K => &[208],
             Self::Q3K => &[108],
@@ -140,12 +152,14 @@ impl WeightFormat {
         (8 * self.block_bytes()) as f64 / self.block() as f64
     }
 
-    /// Whether rows of `inputs` numbers fill blocks. In memory, zeros may fill the last block of 32
-    /// of a long row. Why: docs/decisions/143-filled-blocks.md.
+    /// Whether rows of `inputs` numbers fill blocks. In memory, zeros may fill the last block of a
+    /// long row. Why: docs/decisions/143-filled-blocks.md.
     fn holds(self, inputs: usize) -> bool {
-        /// Numbers of a row beside which a block is little: 6 %.
+        /// Numbers of a row beside which a block of 32 is little: 6 %.
         const LONG: usize = 512;
-        inputs.is_multiple_of(self.block()) || self.block() == 32 && inputs > LONG
+        // Numbers that fill blocks of `q8_256` take memory, and no time.
+        let fills = self.block() == 32 || self == Self::Q8Of256;
+        inputs.is_multiple_of(self.block()) || fills && inputs > LONG
     }
 
     /// Bytes of a matrix of this shape in memory; `None` if the format cannot hold it or the number
@@ -172,7 +186,7 @@ impl WeightFormat {
             Self::Q3K => Self::Q4_0,
             Self::Q4K | Self::Iq4Xs => Self::Q5_0,
             Self::Q5K => Self::Q5_1,
-            Self::Q6K => Self::Q8_0,
+            Self::Q8Of256 | Self::Q6K => Self::Q8_0,
             Self::Q8_0
             | Self::Q5_1
             | Self::Q5_0
@@ -197,6 +211,7 @@ impl WeightFormat {
             Self::Mxfp4 => return StoredFormat::Mxfp4,
             Self::F32 => GgmlDType::F32,
             Self::F16 => GgmlDType::F16,
+            Self::Q8Of256 => return StoredFormat::Q8Of256,
             Self::Q8_0 => GgmlDType::Q8_0,
             Self::Q6K => GgmlDType::Q6K,
             Self::Q5_1 => GgmlDType::Q5_1,
@@ -266,16 +281,16 @@ mod tests {
             );
             assert_eq!(weight_format.block(), weight_format.stored().block_size());
         }
-        for only_in_files in ["iq4_nl", "iq4_xs", "mxfp4"] {
-            let format: WeightFormat = serde_json::from_value(only_in_files.into()).unwrap();
+        for no_choice in ["iq4_nl", "iq4_xs", "mxfp4", "q8_256"] {
+            let format: WeightFormat = serde_json::from_value(no_choice.into()).unwrap();
             assert_eq!(
                 (format.name(), format.stored().name().as_str()),
-                (only_in_files, only_in_files)
+                (no_choice, no_choice)
             );
             assert_eq!(format.block_bytes(), format.stored().type_size());
             assert_eq!(format.block(), format.stored().block_size());
-            assert!(only_in_files.parse::<WeightFormat>().is_err());
-            assert!(WeightFormat::choice(serde_json::Value::from(only_in_files)).is_err());
+            assert!(no_choice.parse::<WeightFormat>().is_err());
+            assert!(WeightFormat::choice(serde_json::Value::from(no_choice)).is_err());
         }
         assert_eq!(
             WeightFormat::choice(serde_json::Value::from("q4_k")).unwrap(),

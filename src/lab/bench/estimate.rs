@@ -6,7 +6,7 @@ use serde::Serialize;
 
 /// Share of the limit of 8-bit products that vision towers reach. This and the next three were
 /// fitted to `planagent bench` of the models in `docs/latency.md`.
-const ENCODE: f64 = 0.40;
+const ENCODE: f64 = 0.52;
 /// The same with AVX2: with its few registers, bytes of `q8_0` take the most instructions.
 const ENCODE_WITH_AVX2: f64 = 0.22;
 /// Share of the same limit that the tokens of a pass reach, the reading of weights apart.

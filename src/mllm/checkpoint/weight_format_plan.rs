@@ -75,7 +75,7 @@ impl WeightFormatPlan {
         let format = format.into();
         let (wanted, reason) = match self.quantize {
             None => self.as_in_file(format),
-            Some(asked) => asked_for(asked, self.role(name), format),
+            Some(asked) => self.asked_for(asked, name, format),
         };
         self.fitting(wanted, reason, inputs)
     }
@@ -92,7 +92,7 @@ impl WeightFormatPlan {
             // Who asks for floats gets the numbers of the file, and unrounded activations.
             Some(asked @ (WeightFormat::F32 | WeightFormat::F16)) => (asked, None),
             Some(asked) => {
-                let (wanted, reason) = at_least(asked, self.role(name));
+                let (wanted, reason) = self.at_least(asked, name);
                 if form.held != Held::Rounded && form.weight_format.bits() <= wanted.bits() {
                     (form.weight_format, form.held.reason())
                 } else {
@@ -166,6 +166,47 @@ impl WeightFormatPlan {
         }
     }
 
+    /// The asked format, or the smallest for the role.
+    fn at_least(self, asked: WeightFormat, name: &str) -> (WeightFormat, Option<&'static str>) {
+        match self.role(name) {
+            Role::Output if asked.bits() < WeightFormat::Q6K.bits() => {
+                (WeightFormat::Q6K, Some("the output layer gets more bits"))
+            }
+            Role::Vision if asked.bits() < WeightFormat::Q8_0.bits() => {
+                let eight_bits = if self.whole_blocks {
+                    WeightFormat::Q8_0
+                } else {
+                    WeightFormat::Q8Of256
+                };
+                let reason = "vision tower and projector get at least 8 bits";
+                (eight_bits, Some(reason))
+            }
+            _ => (asked, None),
+        }
+    }
+
+    fn asked_for(
+        self,
+        asked: WeightFormat,
+        name: &str,
+        format: StoredFormat,
+    ) -> (WeightFormat, Option<&'static str>) {
+        let (wanted, reason) = self.at_least(asked, name);
+        match held_as(format) {
+            // A matrix that was rounded to few bits gains nothing from other blocks of more bits, and
+            // loses by as many. Written out as plain numbers, it loses nothing.
+            Some(held)
+                if held.block() > 1
+                    && wanted.block() > 1
+                    && held != wanted
+                    && held.bits() <= wanted.bits() =>
+            {
+                (held, Some("the file has no more bits"))
+            }
+            _ => (wanted, reason),
+        }
+    }
+
     fn role(self, name: &str) -> Role {
         let output = if self.tied {
             "embed_tokens.weight"
@@ -185,41 +226,6 @@ impl WeightFormatPlan {
     }
 }
 
-/// The asked format, or the smallest for the role.
-fn at_least(asked: WeightFormat, role: Role) -> (WeightFormat, Option<&'static str>) {
-    match role {
-        Role::Output if asked.bits() < WeightFormat::Q6K.bits() => {
-            (WeightFormat::Q6K, Some("the output layer gets more bits"))
-        }
-        Role::Vision if asked.bits() < WeightFormat::Q8_0.bits() => (
-            WeightFormat::Q8_0,
-            Some("vision tower and projector get at least 8 bits"),
-        ),
-        _ => (asked, None),
-    }
-}
-
-fn asked_for(
-    asked: WeightFormat,
-    role: Role,
-    format: StoredFormat,
-) -> (WeightFormat, Option<&'static str>) {
-    let (wanted, reason) = at_least(asked, role);
-    match held_as(format) {
-        // A matrix that was rounded to few bits gains nothing from other blocks of more bits, and
-        // loses by as many. Written out as plain numbers, it loses nothing.
-        Some(held)
-            if held.block() > 1
-                && wanted.block() > 1
-                && held != wanted
-                && held.bits() <= wanted.bits() =>
-        {
-            (held, Some("the file has no more bits"))
-        }
-        _ => (wanted, reason),
-    }
-}
-
 /// The format in memory that equals a file's format.
 pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
     let format = match format.into() {
@@ -227,6 +233,7 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
         StoredFormat::Iq4Nl => return Some(WeightFormat::Iq4Nl),
         StoredFormat::Iq4Xs => return Some(WeightFormat::Iq4Xs),
         StoredFormat::Mxfp4 => return Some(WeightFormat::Mxfp4),
+        StoredFormat::Q8Of256 => return Some(WeightFormat::Q8Of256),
     };
     match format {
         GgmlDType::F32 => Some(WeightFormat::F32),
@@ -291,8 +298,8 @@ mod tests {
             ),
             ("language_model.embed_tokens.weight", WeightFormat::Q4K),
             ("lm_head.weight", WeightFormat::Q6K),
-            (TOWER, WeightFormat::Q8_0),
-            ("vision.linear_proj.gate_proj.weight", WeightFormat::Q8_0),
+            (TOWER, WeightFormat::Q8Of256),
+            ("vision.linear_proj.gate_proj.weight", WeightFormat::Q8Of256),
         ] {
             assert_eq!(
                 plan.matrix(name, GgmlDType::F16, 512).weight_format,
@@ -343,7 +350,7 @@ mod tests {
             ..in_memory
         };
         let planned = |plan: WeightFormatPlan| plan.matrix(TOWER, GgmlDType::F16, 4304);
-        assert_eq!(planned(in_memory).weight_format, WeightFormat::Q8_0);
+        assert_eq!(planned(in_memory).weight_format, WeightFormat::Q8Of256);
         assert_eq!(planned(in_file).weight_format, WeightFormat::F16);
     }
 

@@ -85,10 +85,11 @@ impl Tower {
     /// One map of the map of the last stage and of the one before it.
     pub(super) fn fused(&self, before: &Map, last: &Map) -> Result<Map> {
         let last = enlarged(last, before.grid)?;
-        self.fusion.part.forward(&Map {
+        let both = Map {
             rows: Tensor::cat(&[&before.rows, &last], 1)?,
             grid: before.grid,
-        })
+        };
+        self.fusion.part.forward(&both, None)
     }
 
     /// Averages of a fused map, (tokens, width).
@@ -142,8 +143,6 @@ fn depthwise(
 #[derive(Debug)]
 struct TowerBlock {
     computed: Computed,
-    /// Factors of the channels; none in fused blocks.
-    scale: Option<Tensor>,
     added: bool,
 }
 
@@ -160,7 +159,6 @@ impl TowerBlock {
         block: Block,
         name: &str,
     ) -> std::result::Result<Self, MllmError> {
-        // timm has factors of channels in all but fused blocks.
         let computed = match block.kind {
             Kind::Fused { kernel, wide } => {
                 Computed::Fused(FusedPart::take(weights, block, name, [kernel, wide])?)
@@ -179,32 +177,27 @@ impl TowerBlock {
                 Computed::Attention(AttentionPart::take(weights, block, name)?)
             }
         };
-        let scale = if matches!(block.kind, Kind::Fused { .. }) {
-            None
-        } else {
-            let scale = format!("{name}.layer_scale.gamma");
-            Some(weights.take_of_any_rank(&scale, &[block.outputs])?)
+        // timm has factors of channels in all but fused blocks.
+        let scale = format!("{name}.layer_scale.gamma");
+        let mut scale = || weights.take_of_any_rank(&scale, &[block.outputs]);
+        let computed = match computed {
+            Computed::Fused(part) => Computed::Fused(part),
+            Computed::Inverted(part) => Computed::Inverted(part.scaled(&scale()?)?),
+            Computed::Attention(part) => Computed::Attention(part.scaled(scale()?)),
         };
         Ok(Self {
             computed,
-            scale,
             added: block.added,
         })
     }
 
     fn forward(&self, map: &Map) -> Result<Map> {
-        let mut made = match &self.computed {
-            Computed::Fused(part) => part.forward(map)?,
-            Computed::Inverted(part) => part.forward(map)?,
-            Computed::Attention(part) => part.forward(map)?,
-        };
-        if let Some(scale) = &self.scale {
-            made.rows = made.rows.broadcast_mul(scale)?;
+        let residual = self.added.then_some(&map.rows);
+        match &self.computed {
+            Computed::Fused(part) => part.forward(map, residual),
+            Computed::Inverted(part) => part.forward(map, residual),
+            Computed::Attention(part) => part.forward(map, residual),
         }
-        if self.added {
-            made.rows = (made.rows + &map.rows)?;
-        }
-        Ok(made)
     }
 }
 
@@ -241,11 +234,11 @@ impl FusedPart {
         })
     }
 
-    fn forward(&self, map: &Map) -> Result<Map> {
+    fn forward(&self, map: &Map, residual: Option<&Tensor>) -> Result<Map> {
         let wide = self.expand.forward(&map.rows, map.grid)?;
         let wide = ACTIVATION.forward(&self.expand_norm.forward(&wide)?)?;
         Ok(Map {
-            rows: self.project_norm.forward(&self.project.forward(&wide)?)?,
+            rows: normed_onto(&self.project_norm, &self.project.forward(&wide)?, residual)?,
             grid: map.grid.strided(self.stride),
         })
     }
@@ -302,7 +295,15 @@ impl InvertedPart {
         })
     }
 
-    fn forward(&self, map: &Map) -> Result<Map> {
+    /// The part with a factor for each channel of its result.
+    fn scaled(self, scale: &Tensor) -> Result<Self> {
+        Ok(Self {
+            project_norm: self.project_norm.scaled(scale)?,
+            ..self
+        })
+    }
+
+    fn forward(&self, map: &Map, residual: Option<&Tensor>) -> Result<Map> {
         let Map { mut rows, mut grid } = map.clone();
         if let Some((convolution, norm)) = &self.start {
             rows = norm.forward(&convolution.forward(&rows, grid)?)?;
@@ -316,9 +317,17 @@ impl InvertedPart {
             grid = grid.strided(self.strides[1]);
         }
         Ok(Map {
-            rows: self.project_norm.forward(&self.project.forward(&rows)?)?,
+            rows: normed_onto(&self.project_norm, &self.project.forward(&rows)?, residual)?,
             grid,
         })
+    }
+}
+
+/// norm(x), plus a residual.
+fn normed_onto(norm: &RmsNorm, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
+    match residual {
+        Some(residual) => norm.forward_onto(x, residual),
+        None => norm.forward(x),
     }
 }
 
@@ -395,7 +404,15 @@ impl AttentionPart {
         })
     }
 
-    fn forward(&self, map: &Map) -> Result<Map> {
+    /// The part with a factor for each channel of its result.
+    fn scaled(self, scale: Tensor) -> Self {
+        Self {
+            out: self.out.scaled(scale),
+            ..self
+        }
+    }
+
+    fn forward(&self, map: &Map, residual: Option<&Tensor>) -> Result<Map> {
         let rows = self.norm.forward(&map.rows)?;
         let keys = self.key.forward(&rows, map.grid)?;
         let values = self.value.forward(&rows, map.grid)?;
@@ -414,7 +431,10 @@ impl AttentionPart {
             attend(rows, &held, AttentionMask::All { positions })
         })?;
         Ok(Map {
-            rows: self.out.forward(&mixed)?,
+            rows: match residual {
+                Some(residual) => self.out.forward_onto(&mixed, residual)?,
+                None => self.out.forward(&mixed)?,
+            },
             grid: map.grid,
         })
     }

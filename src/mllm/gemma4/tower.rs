@@ -7,7 +7,7 @@ use crate::family::{ImageFeatures, ImageLayout};
 use crate::vision::{take_patch_embedding, unfold};
 use candle_core::{Device, Result, Tensor};
 use planagent_kernels::attention::{
-    AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend,
+    AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend, attend_rounded,
 };
 use planagent_kernels::matrix::Matrix;
 use planagent_kernels::{Activation, Linear, RmsNorm};
@@ -104,7 +104,8 @@ impl ImageEncoder {
             .patches
             .forward(&unfold(&centered, self.config.patch)?)?;
         let mut x = (patches + (learned(0)? + learned(1)?)?)?;
-        let rotary = RotaryRows::of_patches(places(), self.config.head_dim, self.config.theta);
+        let (width, theta) = (self.config.head_dim, self.config.theta);
+        let rotary = RotaryRows::of_patches(places(), width, theta).by_halves();
         for layer in &self.layers {
             x = layer.forward(&x, &rotary)?;
         }
@@ -155,9 +156,9 @@ struct Layer {
     /// Before and behind the attention, before and behind the feed-forward network.
     norms: [RmsNorm; 4],
     attention: Attention,
-    gate: ClampedLinear,
-    up: ClampedLinear,
-    down: ClampedLinear,
+    gate: Linear,
+    up: Linear,
+    down: Linear,
 }
 
 impl Layer {
@@ -179,7 +180,7 @@ impl Layer {
         ];
         // Gate and up projection are two matrices, because each has bounds of its own.
         let mut linear = |part: &str, [inputs, outputs]: [usize; 2]| {
-            ClampedLinear::take(
+            take_linear(
                 weights,
                 config,
                 &format!("{name}.mlp.{part}_proj"),
@@ -198,21 +199,21 @@ impl Layer {
     fn forward(&self, x: &Tensor, rotary: &RotaryRows) -> Result<Tensor> {
         let [before, behind, before_mlp, behind_mlp] = &self.norms;
         let mixed = self.attention.forward(&before.forward(x)?, rotary)?;
-        let x = (x + behind.forward(&mixed)?)?;
+        let x = behind.forward_onto(&mixed, x)?;
         let normed = before_mlp.forward(&x)?;
-        let both = [self.gate.forward(&normed)?, self.up.forward(&normed)?];
-        let gated = Activation::GeluTanh.gated(&Tensor::cat(&both, 1)?)?;
-        &x + behind_mlp.forward(&self.down.forward(&gated)?)?
+        let gate = self.gate.forward(&normed)?;
+        let gated = Activation::GeluTanh.gated_by(&gate, &self.up.forward(&normed)?)?;
+        behind_mlp.forward_onto(&self.down.forward(&gated)?, &x)
     }
 }
 
 /// Attention among all patches, without a scale.
 #[derive(Debug)]
 struct Attention {
-    query: ClampedLinear,
-    key: ClampedLinear,
-    value: ClampedLinear,
-    out: ClampedLinear,
+    query: Linear,
+    key: Linear,
+    value: Linear,
+    out: Linear,
     /// Of the heads of queries, keys and values.
     norms: [RmsNorm; 3],
     shape: HeadShape,
@@ -234,7 +235,7 @@ impl Attention {
         let key_norm = weights.take_rms_norm(&format!("{name}.k_norm"), width, config.eps)?;
         // Each has bounds of its own, so that they are no single matrix.
         let mut linear = |part: &str, sides: [usize; 2]| {
-            ClampedLinear::take(weights, config, &format!("{name}.{part}_proj"), sides)
+            take_linear(weights, config, &format!("{name}.{part}_proj"), sides)
         };
         Ok(Self {
             query: linear("q", [hidden, queries])?,
@@ -261,16 +262,15 @@ impl Attention {
             norm.forward(&rows.reshape(((), norm.width()))?)?
                 .reshape((patches, ()))
         };
-        let rows = [
-            halves_apart(
-                &normed(of_queries, self.query.forward(x)?)?,
-                self.shape.width,
-            )?,
-            halves_apart(&normed(of_keys, self.key.forward(x)?)?, self.shape.width)?,
-            normed(of_values, self.value.forward(x)?)?,
-        ];
-        let rows = Tensor::cat(&rows, 1)?.contiguous()?;
-        let mixed = Projected::read(&rows, self.shape, Some(rotary), |rows| {
+        let queries = normed(of_queries, self.query.forward(x)?)?;
+        let keys = normed(of_keys, self.key.forward(x)?)?;
+        let values = normed(of_values, self.value.forward(x)?)?;
+        let parts = [&queries, &keys, &values];
+        let mixed = Projected::read_apart(parts, self.shape, Some(rotary), |rows| {
+            // Where products round their inputs anyway, f32 would keep nothing.
+            if self.query.rounds_inputs() {
+                return attend_rounded(rows);
+            }
             let mut held = KeyValues::new(self.shape, Precision::Single);
             held.write(rows, 0)?;
             attend(rows, &held, AttentionMask::All { positions: patches })
@@ -279,66 +279,21 @@ impl Attention {
     }
 }
 
-/// Heads whose first half turns by the column and whose second half by the row, each half by half,
-/// in the order of a head that turns as a whole: first quarters, then second ones.
-fn halves_apart(rows: &Tensor, width: usize) -> Result<Tensor> {
-    let (patches, all) = rows.dims2()?;
-    rows.reshape(vec![patches, all / width, 2, 2, width / 4])?
-        .transpose(2, 3)?
-        .reshape((patches, all))
-}
-
-/// A layer that may clamp what goes into it and comes out.
-#[derive(Debug)]
-struct ClampedLinear {
-    linear: Linear,
-    /// Least and greatest of the input, and of the output.
-    bounds: Option<[[f32; 2]; 2]>,
-}
-
-impl ClampedLinear {
-    fn take(
-        weights: &mut Weights,
-        config: &TowerConfig,
-        name: &str,
-        [inputs, outputs]: [usize; 2],
-    ) -> std::result::Result<Self, MllmError> {
-        let mut bound = |part: &str| weights.take_bound(&format!("{name}.{part}"));
-        let bounds = if config.clamped {
-            Some([
-                [bound("input_min")?, bound("input_max")?],
-                [bound("output_min")?, bound("output_max")?],
-            ])
-        } else {
-            None
-        };
-        Ok(Self {
-            linear: weights.take_linear(name, inputs, outputs, false)?,
-            bounds,
-        })
+/// Takes a layer that may clamp what goes into it and comes out.
+fn take_linear(
+    weights: &mut Weights,
+    config: &TowerConfig,
+    name: &str,
+    [inputs, outputs]: [usize; 2],
+) -> std::result::Result<Linear, MllmError> {
+    let linear = weights.take_linear(name, inputs, outputs, false)?;
+    if !config.clamped {
+        return Ok(linear);
     }
-
-    fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        match self.bounds {
-            None => self.linear.forward(x),
-            Some([[low, high], [least, most]]) => self
-                .linear
-                .forward(&x.clamp(low, high)?)?
-                .clamp(least, most),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn halves_of_a_head_are_laid_apart() {
-        let rows = Tensor::arange(0_f32, 16.0, &Device::Cpu).unwrap();
-        let apart = halves_apart(&rows.reshape((1, 16)).unwrap(), 8).unwrap();
-        let found = apart.to_vec2::<f32>().unwrap().remove(0);
-        assert_eq!(found[..8], [0.0, 1.0, 4.0, 5.0, 2.0, 3.0, 6.0, 7.0]);
-        assert_eq!(found[8..], [8.0, 9.0, 12.0, 13.0, 10.0, 11.0, 14.0, 15.0]);
-    }
+    let mut bound = |part: &str| weights.take_bound(&format!("{name}.{part}"));
+    let bounds = [
+        [bound("input_min")?, bound("input_max")?],
+        [bound("output_min")?, bound("output_max")?],
+    ];
+    Ok(linear.clamped(bounds))
 }

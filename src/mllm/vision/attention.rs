@@ -62,6 +62,14 @@ impl SelfAttention {
         })
     }
 
+    /// The attention with a factor for each channel of its result.
+    pub(super) fn scaled(self, scale: Tensor) -> Self {
+        Self {
+            out: self.out.scaled(scale),
+            ..self
+        }
+    }
+
     /// Maps (tokens of all parts, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor, parts: &[Part]) -> Result<Tensor> {
         self.out.forward(&self.mix(x, parts)?)

@@ -59,7 +59,7 @@ pub(super) fn take_layers(
     Ok(layers)
 }
 
-/// x + s₁·attention(norm₁(x)), then x + s₂·mlp(norm₂(x)). Most towers have no scales s.
+/// x + attention(norm₁(x)), then x + mlp(norm₂(x)).
 #[derive(Debug)]
 pub(crate) struct VisionLayer {
     norm1: LayerNorm,
@@ -68,8 +68,6 @@ pub(crate) struct VisionLayer {
     fc1: Linear,
     fc2: Linear,
     act: Activation,
-    /// Factors of the channels (`InternViT`).
-    scales: Option<[Tensor; 2]>,
 }
 
 impl VisionLayer {
@@ -92,11 +90,10 @@ impl VisionLayer {
             fc1: weights.take_linear(&format!("{name}.mlp.fc1"), hidden, wide, true)?,
             fc2: weights.take_linear(&format!("{name}.mlp.fc2"), wide, hidden, true)?,
             act: config.act,
-            scales: None,
         })
     }
 
-    /// Takes the layer with its scales.
+    /// Takes the layer with factors of the channels of both parts (`InternViT`).
     pub(crate) fn take_scaled(
         weights: &mut Weights,
         config: &VisionConfig,
@@ -109,28 +106,20 @@ impl VisionLayer {
                 &[config.hidden],
             )
         };
+        let (of_attention, of_mlp) = (scale(1)?, scale(2)?);
         Ok(Self {
-            scales: Some([scale(1)?, scale(2)?]),
+            attention: layer.attention.scaled(of_attention),
+            fc2: layer.fc2.scaled(of_mlp),
             ..layer
         })
     }
 
     /// Maps (tokens of all parts, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor, parts: &[Part]) -> candle_core::Result<Tensor> {
-        let normed = self.norm1.forward(x)?;
-        let x = match &self.scales {
-            None => self.attention.forward_onto(&normed, parts, x)?,
-            Some([scale, _]) => {
-                (x + self
-                    .attention
-                    .forward(&normed, parts)?
-                    .broadcast_mul(scale)?)?
-            }
-        };
+        let x = self
+            .attention
+            .forward_onto(&self.norm1.forward(x)?, parts, x)?;
         let wide = self.fc1.forward_then(&self.norm2.forward(&x)?, self.act)?;
-        match &self.scales {
-            None => self.fc2.forward_onto(&wide, &x),
-            Some([_, scale]) => &x + self.fc2.forward(&wide)?.broadcast_mul(scale)?,
-        }
+        self.fc2.forward_onto(&wide, &x)
     }
 }

@@ -4,6 +4,7 @@ use crate::MllmError;
 use crate::checkpoint::{ConfigObject, positive};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
+use rayon::prelude::*;
 use serde::Deserialize;
 
 /// Mean of the RGB channels in CLIP's training (`OPENAI_CLIP_MEAN` in transformers).
@@ -88,12 +89,17 @@ impl PixelScale {
     /// Pixel values of shape (3, height, width).
     pub(crate) fn values(&self, pixels: &RgbImage) -> candle_core::Result<Tensor> {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        let mut values = Vec::with_capacity(3 * width * height);
-        for channel in 0..3 {
-            let table = self.table(channel);
-            let bytes = pixels.pixels().map(|pixel| pixel.0[channel]);
-            values.extend(bytes.map(|byte| table[usize::from(byte)]));
-        }
+        let tables = [0, 1, 2].map(|channel| self.table(channel));
+        let mut values = vec![0.0; 3 * width * height];
+        // Rows of the image, channel by channel.
+        let rows = values.par_chunks_mut(width.max(1)).enumerate();
+        rows.for_each(|(index, row)| {
+            let (channel, y) = (index / height, index % height);
+            let pixels = pixels.as_chunks::<3>().0[y * width..].iter();
+            for (value, pixel) in row.iter_mut().zip(pixels) {
+                *value = tables[channel][usize::from(pixel[channel])];
+            }
+        });
         Tensor::from_vec(values, (3, height, width), &Device::Cpu)
     }
 

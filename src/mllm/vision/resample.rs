@@ -135,68 +135,56 @@ fn rounded(sum: i32) -> u8 {
 }
 
 fn along_rows(source: &RgbImage, taps: &[Taps]) -> RgbImage {
-    let taps: Vec<PaddedTaps> = taps.iter().map(PaddedTaps::new).collect();
     let mut target = RgbImage::new(taps.len() as u32, source.height());
-    let from = source.par_chunks_exact(CHANNELS * (source.width() as usize).max(1));
+    let width = CHANNELS * (source.width() as usize).max(1);
+    let from = source.par_chunks(LANES * width);
     target
-        .par_chunks_exact_mut(CHANNELS * taps.len().max(1))
+        .par_chunks_mut(LANES * CHANNELS * taps.len().max(1))
         .zip(from)
-        .for_each(|(row, source)| {
-            let taps = taps.as_slice();
-            Instructions::best().run(RowKernel { source, taps, row });
+        .for_each(|(rows, source)| {
+            Instructions::best().run(RowsKernel {
+                source,
+                width,
+                taps,
+                rows,
+            });
         });
     target
 }
 
-/// [`Taps`] with zeros up to whole vectors.
-struct PaddedTaps {
-    first: usize,
-    weights: Vec<[i32; LANES]>,
-}
-
-impl PaddedTaps {
-    fn new(taps: &Taps) -> Self {
-        let mut weights = vec![[0; LANES]; taps.weights.len().div_ceil(LANES)];
-        weights.as_flattened_mut()[..taps.weights.len()].copy_from_slice(&taps.weights);
-        Self {
-            first: taps.first,
-            weights,
-        }
-    }
-}
-
-/// Resizes one row.
-struct RowKernel<'a> {
+/// Resizes some rows, at most as many as a vector has lanes.
+struct RowsKernel<'a> {
     source: &'a [u8],
-    taps: &'a [PaddedTaps],
-    row: &'a mut [u8],
+    /// Bytes of a row of the source.
+    width: usize,
+    taps: &'a [Taps],
+    rows: &'a mut [u8],
 }
 
-impl Kernel for RowKernel<'_> {
+impl Kernel for RowsKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let pixels = self.source.as_chunks::<CHANNELS>().0;
-        let widest = self.taps.iter().map(|taps| taps.weights.len()).max();
-        // A plane for each channel, so that a vector holds neighbors of one channel. Zeros follow
-        // the last pixel.
-        let padded = pixels.len() + widest.unwrap_or(0) * LANES;
-        let mut planes = [(); CHANNELS].map(|()| vec![0i32; padded]);
-        for (channel, plane) in planes.iter_mut().enumerate() {
-            for (value, pixel) in plane.iter_mut().zip(pixels) {
-                *value = i32::from(pixel[channel]);
+        // A vector has the same byte of all rows.
+        let mut columns = vec![[0i32; LANES]; self.width];
+        for (lane, row) in self.source.chunks_exact(self.width).enumerate() {
+            for (column, byte) in columns.iter_mut().zip(row) {
+                column[lane] = i32::from(*byte);
             }
         }
-        let targets = self.row.as_chunks_mut::<CHANNELS>().0;
-        for (target, taps) in targets.iter_mut().zip(self.taps) {
-            for (target, plane) in target.iter_mut().zip(&planes) {
-                let values = plane[taps.first..].as_chunks::<LANES>().0;
-                let mut sums = [0; LANES];
-                for (weights, values) in taps.weights.iter().zip(values) {
-                    for ((sum, weight), value) in sums.iter_mut().zip(weights).zip(values) {
+        let width = CHANNELS * self.taps.len();
+        for (index, taps) in self.taps.iter().enumerate() {
+            for channel in 0..CHANNELS {
+                let columns = columns[CHANNELS * taps.first + channel..].iter();
+                let mut sums = [HALF; LANES];
+                for (weight, column) in taps.weights.iter().zip(columns.step_by(CHANNELS)) {
+                    for (sum, value) in sums.iter_mut().zip(column) {
                         *sum += weight * value;
                     }
                 }
-                *target = rounded(HALF + sums.iter().sum::<i32>());
+                let place = CHANNELS * index + channel;
+                for (row, sum) in self.rows.chunks_exact_mut(width).zip(sums) {
+                    row[place] = rounded(sum);
+                }
             }
         }
     }

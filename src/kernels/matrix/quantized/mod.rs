@@ -5,12 +5,14 @@
 
 mod k_quants;
 mod rounding;
+mod run_of_256;
 mod runs_of_32;
 mod span;
 mod tables;
 
 pub(super) use k_quants::{Q3K, Q4K, Q5K, Q6K};
 pub(super) use rounding::lost_by_rounding;
+pub(super) use run_of_256::Q8Of256;
 pub(super) use runs_of_32::{Q4_0, Q4_1, Q5_0, Q5_1, Q8_0};
 pub(super) use tables::{Iq4Nl, Iq4Xs, Mxfp4};
 
@@ -137,21 +139,18 @@ impl<Q: Quantized> Format for Q {
     }
 
     #[inline(always)]
-    fn pack<S: Simd>(_: S, values: &[f32], words: &mut [i32]) {
+    fn pack<S: Simd>(simd: S, values: &[f32], words: &mut [i32]) {
         let (packed, rest) = words.split_at_mut(STEPS);
         let (sum_words, scales) = rest.split_at_mut(Q::SUM_WORDS);
-        let mut numbers = [0; SPAN];
+        let (mut numbers, mut sums) = ([0; SPAN], [0; SPAN / SUMMED]);
         let parts = numbers
             .chunks_exact_mut(Q::SCALED)
+            .zip(sums.chunks_exact_mut(Q::SCALED / SUMMED))
             .zip(values.chunks_exact(Q::SCALED));
-        for (scale, (numbers, values)) in scales.iter_mut().zip(parts) {
-            *scale = quantize_activations(values, numbers)
+        for (scale, ((numbers, sums), values)) in scales.iter_mut().zip(parts) {
+            *scale = quantize_activations(simd, values, numbers, sums)
                 .to_bits()
                 .cast_signed();
-        }
-        let mut sums = [0; SPAN / SUMMED];
-        for (sum, numbers) in sums.iter_mut().zip(numbers.as_chunks::<SUMMED>().0) {
-            *sum = numbers.iter().map(|number| i32::from(*number)).sum();
         }
         for (word, bytes) in packed.iter_mut().zip(numbers.as_chunks::<4>().0) {
             *word = i32::from_le_bytes(bytes.map(i8::cast_unsigned));
@@ -177,13 +176,12 @@ impl<Q: Quantized> Format for Q {
         inputs: usize,
         sums: &mut [TileSums; ROWS],
     ) {
-        let runs = inputs.div_ceil(Q::RUN);
         add_products::<Q, S, Unpacked<'_>, ROWS>(
             simd,
             blocks.each_ref().map(|block| &block.scales),
             &Unpacked(blocks),
             words,
-            runs,
+            inputs,
             sums,
         );
     }
@@ -198,33 +196,32 @@ impl<Q: Quantized> Format for Q {
         sums: &mut [TileSums; ROWS],
     ) {
         let PackedSpan { tiles, ahead } = span;
-        let runs = inputs.div_ceil(Q::RUN);
-        if tiles[0].len().min(tiles[1].len()) == Self::LINES && runs == SPAN / Q::RUN {
+        if tiles[0].len().min(tiles[1].len()) == Self::LINES && inputs == SPAN {
             // The compiler then knows the lengths, and tests no bounds below.
             let tiles = [&tiles[0][..Self::LINES], &tiles[1][..Self::LINES]];
             let packed = PackedSpan { tiles, ahead };
-            multiply_lines::<Q, S, ROWS>(simd, packed, scales, words, SPAN / Q::RUN, sums);
+            multiply_lines::<Q, S, ROWS>(simd, packed, scales, words, SPAN, sums);
         } else {
-            multiply_lines::<Q, S, ROWS>(simd, span, scales, words, runs, sums);
+            multiply_lines::<Q, S, ROWS>(simd, span, scales, words, inputs, sums);
         }
     }
 }
 
-/// Adds the products of the first `runs` of a span, as it is stored, to the sums of the rows.
+/// Adds the products of the first `inputs` of a span, as it is stored, to the sums of the rows.
 #[inline(always)]
 fn multiply_lines<Q: Quantized, S: Simd, const ROWS: usize>(
     simd: S,
     span: PackedSpan<'_>,
     scales: &mut [Scales; TILES],
     words: &[i32],
-    runs: usize,
+    inputs: usize,
     sums: &mut [TileSums; ROWS],
 ) {
     for (lines, scales) in span.tiles.into_iter().zip(&mut *scales) {
         Q::unpack_scales(simd, lines, scales);
     }
     let [first, second] = scales;
-    add_products::<Q, S, PackedSpan<'_>, ROWS>(simd, [first, second], &span, words, runs, sums);
+    add_products::<Q, S, PackedSpan<'_>, ROWS>(simd, [first, second], &span, words, inputs, sums);
 }
 
 /// The f32 whose bits a word holds.

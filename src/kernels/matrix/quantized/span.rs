@@ -67,14 +67,14 @@ impl<Q: Quantized> Numbers<Q> for PackedSpan<'_> {
     }
 }
 
-/// Adds the products of the first `runs` of a span with `ROWS` rows to their sums.
+/// Adds the products of the first `inputs` of a span with `ROWS` rows to their sums.
 #[inline(always)]
 pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     simd: S,
     unpacked: [&Scales; TILES],
     numbers: &N,
     words: &[i32],
-    runs: usize,
+    inputs: usize,
     sums: &mut [TileSums; ROWS],
 ) {
     let (rows, _) = words.as_chunks::<ROWS>();
@@ -83,7 +83,7 @@ pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usi
     // One function, so that these sums stay in registers over all runs. What depends on `Q` and `S`
     // is decided at compile time.
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
-    let steps = Q::RUN / 4;
+    let (steps, runs) = (Q::RUN / 4, inputs.div_ceil(Q::RUN));
     /// Adds a run.
     macro_rules! add {
         ($numbers:expr, $index:expr, $activations:expr) => {
@@ -113,7 +113,9 @@ pub(super) fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usi
             })*
         };
     }
-    if const { N::PACKED && ROWS == 1 && S::REGISTERS > 16 } {
+    if const { Q::RUN == SPAN } {
+        add!(numbers, 0, &activations[..inputs.div_ceil(4).min(steps)]);
+    } else if const { N::PACKED && ROWS == 1 && S::REGISTERS > 16 } {
         add_each!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
     } else {
         for (index, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
@@ -241,7 +243,8 @@ fn add_run<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize, const AT_ONC
         let spans = spans[tiles.clone()].iter_mut();
         for ((span, product), weight_scale) in spans.zip(products).zip(weight_scales) {
             let product = simd.to_floats(product);
-            *span = if Q::SCALED == Q::RUN {
+            // A scale of the span is applied once, behind all runs.
+            *span = if Q::SCALED < SPAN {
                 let scale = simd.floats(float(run.scales[run.index][row]));
                 simd.mul_add(simd.mul(product, scale), weight_scale, *span)
             } else {

@@ -61,6 +61,9 @@ impl Simd for Avx512 {
             _mm512_dpwssd_epi32(sum, weights, _mm512_set1_epi32(activations));
         load_ints(values: &[i32; LANES]) -> __m512i = _mm512_loadu_si512(values.as_ptr().cast());
         store_ints(values: __m512i, out: &mut [i32; LANES]) = _mm512_storeu_si512(out.as_mut_ptr().cast(), values);
+        store_low_bytes(values: __m512i, out: &mut [i8; LANES]) =
+            _mm_storeu_si128(out.as_mut_ptr().cast(), _mm512_cvtepi32_epi8(values));
+        sum_ints(values: __m512i) -> i32 = _mm512_reduce_add_epi32(values);
         to_ints(values: __m512) -> __m512i = _mm512_cvtps_epi32(values);
         pair(low: __m512i, high: __m512i) -> __m512i = _mm512_mask_blend_epi16(0xaaaa_aaaa, low, _mm512_slli_epi32::<16>(high));
         to_floats(values: __m512i) -> __m512 = _mm512_cvtepi32_ps(values);

@@ -101,6 +101,22 @@ pub trait Simd: Copy + Send + Sync {
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints;
     /// Writes 16 integers.
     fn store_ints(self, values: Self::Ints, out: &mut [i32; LANES]);
+    /// Writes the low bytes of 16 integers.
+    #[inline(always)]
+    fn store_low_bytes(self, values: Self::Ints, out: &mut [i8; LANES]) {
+        let mut integers = [0; LANES];
+        self.store_ints(values, &mut integers);
+        for (byte, integer) in out.iter_mut().zip(integers) {
+            *byte = integer as i8;
+        }
+    }
+    /// The sum of 16 integers.
+    #[inline(always)]
+    fn sum_ints(self, values: Self::Ints) -> i32 {
+        let mut integers = [0; LANES];
+        self.store_ints(values, &mut integers);
+        integers.into_iter().sum()
+    }
     /// The integers as floats.
     fn to_floats(self, values: Self::Ints) -> Self::Floats;
     /// The nearest integers, ties to even, of floats that have one in i32.
