@@ -243,7 +243,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights smolvlm2-256m,internvl3-1b,qwen3-vl-2b,qwen2-vl-2b,gemma-3-4b --quantize q4_k --calls brief --iterations 2 --vs llama.cpp --llama-python venv/bin/python",
+        "planagent bench --random-weights smolvlm2-256m,internvl3-1b,qwen3-vl-2b,qwen2-vl-2b --quantize q4_k --calls brief --iterations 2 --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
     (
