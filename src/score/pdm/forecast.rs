@@ -138,7 +138,7 @@ impl ForecastObject {
             return Bounds::around(&ends);
         }
         // An arc keeps within half its length of the middle of its chord.
-        let half_length = self.velocity.norm() * (last - first) as f64 * STEP_S / 2.0;
+        let half_length = self.velocity.norm() * (Self::seconds(last) - Self::seconds(first)) / 2.0;
         Bounds::square(
             Point::from((ends[0].coords + ends[1].coords) / 2.0),
             half_length,
@@ -297,4 +297,35 @@ fn nearest<'a>(
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.truncate(cap);
     near.into_iter().map(|(_, o)| o).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_hold_the_way_between_odd_steps_too() {
+        let pose = Pose::new(0.0, 0.0, 0.0);
+        let track = TrackedObject {
+            token: TrackToken(1),
+            kind: ObjectKind::Vehicle,
+            shape: OrientedBox::new(pose, 4.0, 2.0),
+            velocity: Vector::new(10.0, 0.0),
+        };
+        for curvature in [0.0, 0.001, 0.1] {
+            let object = ForecastObject {
+                curvature,
+                ..ForecastObject::new(&track)
+            };
+            for first in 0..12 {
+                let bounds = object.bounds_between(first, first + 9).grown(1e-9);
+                for step in first..=first + 9 {
+                    assert!(
+                        bounds.contains(object.center_at(step)),
+                        "{curvature}: {first} {step}"
+                    );
+                }
+            }
+        }
+    }
 }
