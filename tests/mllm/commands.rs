@@ -272,6 +272,20 @@ fn what_says_how_a_model_is_asked_is_checked_too() {
 }
 
 #[test]
+fn an_error_of_a_description_names_its_file_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("wrong.toml");
+    std::fs::write(&file, "name = \"wrong\"\nfoo = 1\n").unwrap();
+    let place = file.to_str().unwrap();
+    let checked = planagent(&["models", "check", place]).assert().code(1);
+    let said = String::from_utf8_lossy(&checked.get_output().stdout).into_owned();
+    assert!(
+        said.matches(place).count() == 1 && said.contains("unknown field `foo`"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_refused_file_says_what_it_is_and_how_large() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("tiny.gguf");

@@ -129,13 +129,16 @@ pub(super) fn reason(error: &MllmError, model: &str) -> String {
 fn tell(row: &Row<'_>, printer: Printer) {
     // A line and no error: the other models are still checked.
     let Some(check) = &row.check else {
-        printer.line(format!(
-            "{}: {}",
-            row.model,
-            row.missing
-                .as_deref()
-                .expect("a row without a check says why")
-        ));
+        let why = row
+            .missing
+            .as_deref()
+            .expect("a row without a check says why");
+        // An error of a description names its file.
+        if why.starts_with(row.model) {
+            printer.line(why);
+        } else {
+            printer.line(format!("{}: {why}", row.model));
+        }
         return;
     };
     let family = check
