@@ -222,7 +222,7 @@ fn engine(c: &mut Criterion) {
     };
     let planner = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
-        ride: Ride::default(),
+        ride: Ride::Idm,
         horizon_s: 4.0,
     }
     .build(GraphedScene::new(&scene, &graph), code)

@@ -387,7 +387,7 @@ pub(crate) fn planner_at<'a>(
     };
     PlanBuilder {
         lead_policy,
-        ride: Ride::default(),
+        ride: Ride::Idm,
         horizon_s: 4.0,
     }
     .build(GraphedScene::new(&drive.scene(), graph), code)

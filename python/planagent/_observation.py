@@ -438,7 +438,7 @@ class Observation:
         speed: float = 1.0,
         accelerations: tuple[float, float] = (1.5, 3.0),
     ) -> Trajectory:
-        """The trajectory of an IDM planner code over 8 s.
+        """The trajectory of a planner code over 8 s, as PlanAgent drives it by its default settings.
 
         Parameters
         ----------

@@ -3,13 +3,12 @@
 use crate::errors::{Failure, Outcome};
 use crate::trajectory::through;
 use planagent::evaluation::{EvaluatedSimulation, MetricRegistry};
-use planagent::planning::{HistorySample, LeadPolicy, SceneView};
+use planagent::planning::{HistorySample, SceneView};
 use planagent::road::{Point, Polyline, Pose};
 use planagent::traffic::{TrackToken, TrackedObject};
 use planagent::{Challenge, EgoState, Scenario as Opened, Trajectory};
 use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
-use planagent_agent::planner::planner_code;
-use planagent_agent::reflection::{PlanBuilder, Ride};
+use planagent_agent::planner::{ReflectionSettings, planner_code};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_runs::worker::run::with_causes;
 use planagent_scenario::HeldScenario;
@@ -299,11 +298,7 @@ fn code_plan(scene: &SceneView<'_>, code: &[f64]) -> Outcome<Trajectory> {
     if !(0.0..=10.0).contains(&speed) {
         return Err(outside());
     }
-    let builder = PlanBuilder {
-        lead_policy: LeadPolicy::Nearest,
-        ride: Ride::default(),
-        horizon_s: PLAN_S,
-    };
+    let builder = ReflectionSettings::default().plan_builder();
     let build = |name| {
         builder.build(
             GraphedScene::new(scene, &graph),

@@ -5,7 +5,7 @@ use crate::scenario::{ego_numbers, lanes};
 use crate::trajectory::{Trajectory, array, packed, planned, poses};
 use crate::work::{computed, long, quick};
 use image::RgbImage;
-use planagent::planning::{History, HistorySample, LeadPolicy, SceneView};
+use planagent::planning::{History, HistorySample, SceneView};
 use planagent::road::{Lane, LaneMap, Pose, Route};
 use planagent::traffic::{ObjectKind, TrackedObject, TrafficLights};
 use planagent::{EgoState, Scene};
@@ -14,8 +14,8 @@ use planagent_agent::environment::text::write as write_lane_graph;
 use planagent_agent::environment::{
     BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm, UnknownChoice,
 };
-use planagent_agent::planner::planner_code;
-use planagent_agent::reflection::{Judge, PlanBuilder, Ride};
+use planagent_agent::planner::{ReflectionSettings, planner_code};
+use planagent_agent::reflection::Judge;
 use planagent_runs::report::render::{Look, observed_picture};
 use planagent_runs::worker::run::with_causes;
 use planagent_score::pdm::PdmMemory;
@@ -287,11 +287,7 @@ impl Observation {
         quick(py, || {
             let graph = self.graph()?;
             let name: CenterlineName = chosen("centerline", &centerline)?;
-            let builder = PlanBuilder {
-                lead_policy: LeadPolicy::Nearest,
-                ride: Ride::default(),
-                horizon_s: PLAN_S,
-            };
+            let builder = ReflectionSettings::default().plan_builder();
             let scene = self.scene.view();
             let failed =
                 |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));

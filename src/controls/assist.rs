@@ -10,7 +10,7 @@ use planagent_agent::planner::{AssistDrive, HandedAnswers, LlmAssist, Planner};
 use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::{AssistVariant, Assistance};
 use planagent_agent::simulation::ClosedLoop;
-use planagent_world::{STEP_S, SceneView};
+use planagent_world::{HistorySample, STEP_S, SceneView};
 
 /// The planners of these names.
 pub(crate) fn entries() -> [PlannerEntry; 2] {
@@ -65,7 +65,7 @@ impl Foresight for AssistOracle {
 
     /// Hands the best answers over. Near the end of the recording the search looks no further than
     /// that; where it finds nothing, PDM-Closed drives.
-    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>, _: &[HistorySample]) {
         let search = Search {
             simulation,
             drive: self.planner.drive(),

@@ -6,7 +6,7 @@ use planagent_agent::planner::{
 };
 use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerParts};
 use planagent_agent::simulation::ClosedLoop;
-use planagent_world::{SceneView, Trajectory};
+use planagent_world::{HistorySample, SceneView, Trajectory};
 
 /// A planner whose planning calls are answered by a search in the simulation.
 pub trait Foresight: Send {
@@ -19,8 +19,9 @@ pub trait Foresight: Send {
     /// Whether the next step, in this scene, begins with a planning call.
     fn begins_with_call(&self, scene: &SceneView<'_>) -> bool;
 
-    /// Finds the answer of the planning call that begins now, and hands it to the planner.
-    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>);
+    /// Finds the answer of the planning call that begins now, and hands it to the planner. `past`
+    /// has the samples before the present.
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>, past: &[HistorySample]);
 }
 
 /// The planner of a name, which `build` makes from its parts.
@@ -36,6 +37,7 @@ pub fn entry<F: Foresight + 'static>(
         })?;
         Ok(Box::new(OracleAgent {
             shadow: simulation.clone(),
+            past: Vec::new(),
             inner: build(parts)?,
         }))
     };
@@ -50,6 +52,8 @@ pub fn entry<F: Foresight + 'static>(
 struct OracleAgent<F> {
     /// The same simulation, with the same trajectories.
     shadow: ClosedLoop<'static>,
+    /// Its samples before the present.
+    past: Vec<HistorySample>,
     inner: F,
 }
 
@@ -67,7 +71,7 @@ impl<F: Foresight> Planner for OracleAgent<F> {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         if self.inner.begins_with_call(&input.scene) {
-            self.inner.look_ahead(&self.shadow);
+            self.inner.look_ahead(&self.shadow, &self.past);
         }
         let trajectory = self.inner.planner_mut().compute_trajectory(input)?;
         let name = self.name().to_owned();
@@ -75,6 +79,7 @@ impl<F: Foresight> Planner for OracleAgent<F> {
             doing: "looking ahead",
             source: Box::new(source),
         };
+        self.past.push(self.shadow.present().clone());
         self.shadow.advance(&trajectory, &name).map_err(failed)?;
         Ok(trajectory)
     }

@@ -1,17 +1,20 @@
 //! `oracle-code`: the agent with the planner codes of the privileged search that labels datasets. A
 //! control: no model that learns from them does better, as far as six seconds tell. `oracle-grid`
-//! takes the best of all codes of a grid, without the search's reserves: no model can do better by
-//! its codes.
+//! takes the best of all codes of a grid, without the search's reserves. `oracle-end` tries these to
+//! the end of the scene and takes the score of the whole simulation: what a code is worth that is
+//! kept.
 
 use super::foresight::{self, Foresight};
 use super::search::{Candidate, best, highest, search_ahead, search_grid};
-use super::trial::horizon;
+use super::trial::{horizon, to_end};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent_agent::planner::{AgentLayer, CodeCall, CodeList, CodeSource, Planner, fixed_code};
+use planagent_agent::planner::{
+    AgentLayer, CodeCall, CodeList, CodeSource, Planner, ReflectionSettings, fixed_code,
+};
 use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::simulation::ClosedLoop;
-use planagent_world::SceneView;
+use planagent_world::{HistorySample, SceneView};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Chooses one of the codes that were tried.
@@ -22,12 +25,14 @@ type Choose = fn(&[Candidate]) -> Option<&Candidate>;
 enum Tried {
     /// Those of the search for labels, by its value.
     Search,
-    /// All of the grid, by nuPlan's score.
+    /// All of the grid, by nuPlan's score of the next seconds.
     Grid,
+    /// All of the grid, by the score of a simulation that keeps the code to its end.
+    End,
 }
 
 /// The planners of these names.
-pub(crate) fn entries() -> [PlannerEntry; 2] {
+pub(crate) fn entries() -> [PlannerEntry; 3] {
     [
         entry(
             "oracle-code",
@@ -38,6 +43,11 @@ pub(crate) fn entries() -> [PlannerEntry; 2] {
             "oracle-grid",
             "the agent with all codes of a grid tried out ahead (a control)",
             Tried::Grid,
+        ),
+        entry(
+            "oracle-end",
+            "the agent with all codes of a grid tried out to the end of the scene (a control)",
+            Tried::End,
         ),
     ]
 }
@@ -50,6 +60,7 @@ fn entry(name: &'static str, summary: &'static str, tries: Tried) -> PlannerEntr
             agent: parts.agent(source),
             tries,
             code,
+            reflection: parts.settings.reflection.clone(),
             oncoming_lane: parts.settings.environment.oncoming_lane == Some(true),
         })
     })
@@ -77,6 +88,8 @@ struct CodeOracle {
     agent: Box<dyn AgentLayer>,
     tries: Tried,
     code: HandedCode,
+    /// How the agent's plans drive, and so the tried ones.
+    reflection: ReflectionSettings,
     /// Whether codes may name the oncoming lane.
     oncoming_lane: bool,
 }
@@ -96,7 +109,7 @@ impl Foresight for CodeOracle {
 
     /// Hands the best code over. Near the end of the recording the search looks no further than
     /// that; where it finds nothing, the agent takes the fixed code.
-    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>, past: &[HistorySample]) {
         let scene = simulation.scene();
         let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok();
         let graph = graph.map(|graph| {
@@ -106,11 +119,20 @@ impl Foresight for CodeOracle {
                 graph
             }
         });
-        let horizon = horizon(simulation);
+        let (reflection, horizon) = (&self.reflection, horizon(simulation));
         let (tried, best): (Vec<Candidate>, Choose) = match (graph, self.tries) {
             (None, _) => (Vec::new(), best),
-            (Some(graph), Tried::Search) => (search_ahead(simulation, &graph, horizon), best),
-            (Some(graph), Tried::Grid) => (search_grid(simulation, &graph, horizon), highest),
+            (Some(graph), Tried::Search) => {
+                (search_ahead(simulation, &graph, reflection, horizon), best)
+            }
+            (Some(graph), Tried::Grid) => (
+                search_grid(simulation, &graph, reflection, (None, horizon)),
+                highest,
+            ),
+            (Some(graph), Tried::End) => {
+                let ahead = (Some(past), to_end(simulation));
+                (search_grid(simulation, &graph, reflection, ahead), highest)
+            }
         };
         self.code.hand(best(&tried).map(|best| best.code));
     }

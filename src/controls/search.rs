@@ -1,25 +1,23 @@
-//! Privileged search: simulates many planners from a state. The best one is the label.
+//! Privileged search: simulates many planners from a state. The best one is the label. Plans drive
+//! and are judged as the agent's, so a label is worth what the agent makes of its code.
+//! Why: docs/decisions/152-the-teacher-drives-as-the-agent.md.
 
+use super::trial::{score_of_whole, score_of_window};
 use planagent_agent::environment::lane_graph::{Centerline, GoalLane};
 use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
-use planagent_agent::planner::{DEFAULT_ACCELERATIONS, feedback, grid_codes, planner_code};
-use planagent_agent::reasoning::{Feedback, PlannerCode};
-use planagent_agent::reflection::{
-    IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Ride, Verdict, steps_of,
+use planagent_agent::planner::{
+    DEFAULT_ACCELERATIONS, ReflectionSettings, feedback, grid_codes, planner_code,
 };
+use planagent_agent::reasoning::{Feedback, PlannerCode};
+use planagent_agent::reflection::{IdmPlan, Judge, PlanMonitor, ReflectionReport, Verdict};
 use planagent_agent::simulation::ClosedLoop;
-use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
 use planagent_score::pdm::PdmMemory;
-use planagent_world::{EgoState, HistorySample, STEP_S};
+use planagent_world::{HistorySample, STEP_S, SceneView};
 
 /// Horizon of the search, iterations: long enough for a lane change and its effect.
 pub const HORIZON: usize = 60;
 /// Iterations between roll-outs.
 const REPLAN: usize = 5;
-/// Length of the roll-outs, seconds: Reflection's default.
-const ROLLOUT_S: f64 = 4.0;
-/// λ: Reflection's default.
-pub const THRESHOLD: f64 = 0.75;
 /// Desired speeds, as fractions of the limit. A monitored planner slows down by itself for
 /// foreseeable events.
 const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
@@ -43,8 +41,9 @@ const ON_ROUTE_AHEAD: f64 = 120.0;
 /// Minimum gain of a lane change.
 const LANE_CHANGE_COST: f64 = 0.02;
 /// Minimum gain of a slow planner. The search picks the best of several slow ones in hindsight,
-/// which a model cannot. About what remains are collisions.
-const SLOW_COST: f64 = 0.7;
+/// which a model cannot.
+/// Why: docs/decisions/152-the-teacher-drives-as-the-agent.md.
+const SLOW_COST: f64 = 0.05;
 /// Minimum gain of a lane change that Reflection rejects: more than possible.
 const REJECTED_CHANGE_COST: f64 = 2.0;
 /// Minimum gain of a rejected planner in the ego's lane. It is small, since the best rejected one
@@ -87,37 +86,28 @@ impl Candidate {
             Some(self.code.to_string()),
             Some(&self.reflection),
             &[],
-            THRESHOLD,
+            self.reflection.threshold,
         )
     }
 }
 
-/// Simulates every candidate from the present state, in order. Candidates that fail in the
-/// simulation or the metrics are skipped.
+/// Simulates every candidate from the present state, in order. Plans drive, and are judged, as the
+/// agent's do by its defaults. Candidates that fail in the simulation or the metrics are skipped.
 pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> {
-    search_ahead(simulation, graph, HORIZON)
+    search_ahead(simulation, graph, &ReflectionSettings::default(), HORIZON)
 }
 
-/// As [`search`], over a number of iterations.
+/// As [`search`], with plans that drive as these settings say, over a number of iterations.
 pub fn search_ahead(
     simulation: &ClosedLoop<'_>,
     graph: &LaneGraph,
+    reflection: &ReflectionSettings,
     horizon: usize,
 ) -> Vec<Candidate> {
-    let limit = graph.limit();
     let mut tried: Vec<Candidate> = Vec::new();
     let scene = simulation.scene();
-    let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
+    let Some(present) = Present::observe(simulation, &scene, graph, reflection, horizon) else {
         return tried;
-    };
-    let present = Present {
-        simulation,
-        graph,
-        judge: &judge,
-        memory: &memory,
-        limit,
-        horizon,
     };
     for centerline in graph.named() {
         let fractions: &[f64] = match centerline.name {
@@ -150,25 +140,19 @@ pub fn search_ahead(
     tried
 }
 
-/// Simulates every code of the grid from the present state, over a number of iterations.
+/// Simulates every code of the grid from the present state, over a number of iterations. With the
+/// samples before the present, scores are those of the whole simulation.
 pub(crate) fn search_grid(
     simulation: &ClosedLoop<'_>,
     graph: &LaneGraph,
-    horizon: usize,
+    reflection: &ReflectionSettings,
+    (past, horizon): (Option<&[HistorySample]>, usize),
 ) -> Vec<Candidate> {
     let scene = simulation.scene();
-    let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
+    let Some(present) = Present::observe(simulation, &scene, graph, reflection, horizon) else {
         return Vec::new();
     };
-    let present = Present {
-        simulation,
-        graph,
-        judge: &judge,
-        memory: &memory,
-        limit: graph.limit(),
-        horizon,
-    };
+    let present = Present { past, ..present };
     grid_codes(graph)
         .into_iter()
         .filter_map(|code| present.attempt(code))
@@ -199,19 +183,9 @@ pub fn attempts(
     graph: &LaneGraph,
     codes: &[PlannerCode],
 ) -> Vec<Option<Candidate>> {
-    let limit = graph.limit();
-    let scene = simulation.scene();
-    let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
+    let (scene, reflection) = (simulation.scene(), ReflectionSettings::default());
+    let Some(present) = Present::observe(simulation, &scene, graph, &reflection, HORIZON) else {
         return vec![None; codes.len()];
-    };
-    let present = Present {
-        simulation,
-        graph,
-        judge: &judge,
-        memory: &memory,
-        limit,
-        horizon: HORIZON,
     };
     codes.iter().map(|&code| present.attempt(code)).collect()
 }
@@ -223,13 +197,13 @@ pub fn reflections(
     graph: &LaneGraph,
     codes: &[PlannerCode],
 ) -> Vec<Option<ReflectionReport>> {
-    let scene = simulation.scene();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut PdmMemory::default()) else {
+    let (scene, reflection) = (simulation.scene(), ReflectionSettings::default());
+    let Some(present) = Present::observe(simulation, &scene, graph, &reflection, HORIZON) else {
         return vec![None; codes.len()];
     };
     let reflect = |&code: &PlannerCode| {
-        let plan = planner(simulation, graph, code)?;
-        judge.reflect(&plan, THRESHOLD).ok()
+        let plan = present.plan(code)?;
+        present.judge.reflect(&plan, reflection.threshold).ok()
     };
     codes.iter().map(reflect).collect()
 }
@@ -264,41 +238,62 @@ pub fn best(tried: &[Candidate]) -> Option<&Candidate> {
 struct Present<'a> {
     simulation: &'a ClosedLoop<'a>,
     graph: &'a LaneGraph,
-    judge: &'a Judge<'a>,
+    judge: Judge<'a>,
+    /// How plans drive and are judged.
+    reflection: &'a ReflectionSettings,
     /// PDM-Closed's memory at the state.
-    memory: &'a PdmMemory,
-    /// Speed limit, m/s.
-    limit: f64,
+    memory: PdmMemory,
     /// Iterations to look ahead.
     horizon: usize,
+    /// The samples before the present, where the whole simulation is scored.
+    past: Option<&'a [HistorySample]>,
 }
 
-impl Present<'_> {
+impl<'a> Present<'a> {
+    /// `None` where the scene cannot be judged.
+    fn observe(
+        simulation: &'a ClosedLoop<'a>,
+        scene: &'a SceneView<'a>,
+        graph: &'a LaneGraph,
+        reflection: &'a ReflectionSettings,
+        horizon: usize,
+    ) -> Option<Self> {
+        let mut memory = PdmMemory::default();
+        let judge = reflection.judge(scene, graph, &mut memory).ok()?;
+        Some(Self {
+            simulation,
+            graph,
+            judge,
+            reflection,
+            memory,
+            horizon,
+            past: None,
+        })
+    }
+
+    /// The plan of a code.
+    fn plan(&self, code: PlannerCode) -> Option<IdmPlan> {
+        plan_of(self.simulation, self.graph, self.reflection, code)
+    }
+
     /// Simulates and scores one candidate.
     fn attempt(&self, code: PlannerCode) -> Option<Candidate> {
         let simulation = self.simulation;
-        let planner = planner(simulation, self.graph, code)?;
-        let reflection = self.judge.reflect(&planner, THRESHOLD).ok()?;
+        let planner = self.plan(code)?;
+        let threshold = self.reflection.threshold;
+        let reflection = self.judge.reflect(&planner, threshold).ok()?;
         let mut future = simulation.clone();
-        let samples = follow(
+        let samples = follow_monitored(
             &mut future,
             &planner,
+            self.reflection.plan_monitor(),
             &mut self.memory.clone(),
             self.horizon,
         )?;
-        let scenario = simulation.scenario();
-        let from = scenario.start + simulation.iteration();
-        let expert: Vec<EgoState> = scenario
-            .frames
-            .get(from..=from + samples.len())?
-            .iter()
-            .map(|frame| frame.ego)
-            .collect();
-        let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
-        let score = metrics::evaluate(MetricList::ClosedLoop, &judged)
-            .ok()?
-            .score
-            .value;
+        let score = match self.past {
+            None => score_of_window(simulation, &samples),
+            Some(past) => score_of_whole(simulation, past, &samples),
+        }?;
         let driven: f64 = samples
             .windows(2)
             .map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle))
@@ -306,10 +301,11 @@ impl Present<'_> {
         // The speed at the end counts as progress: else a late braking maneuver would equal a plan
         // that drives on.
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
-        let possible = self.limit.max(1.0) * (samples.len() as f64 * STEP_S + TERMINAL_S);
+        let limit = self.graph.limit();
+        let possible = limit.max(1.0) * (samples.len() as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane;
-        let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
+        let slow = planner.code.target_speed < NEAR_LIMIT * limit;
         let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
         let value = score + PROGRESS_BONUS * (distance / possible).min(1.0)
             - cost(changes, LANE_CHANGE_COST)
@@ -348,37 +344,48 @@ impl Present<'_> {
     }
 }
 
-/// The plan of a code at the present state.
+/// The plan of a code at the present state, as the agent builds it by its defaults.
 pub fn planner(
     simulation: &ClosedLoop<'_>,
     graph: &LaneGraph,
     code: PlannerCode,
 ) -> Option<IdmPlan> {
-    let builder = PlanBuilder {
-        lead_policy: LeadPolicy::Nearest,
-        ride: Ride::default(),
-        horizon_s: ROLLOUT_S,
-    };
-    builder
+    plan_of(simulation, graph, &ReflectionSettings::default(), code)
+}
+
+fn plan_of(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    reflection: &ReflectionSettings,
+    code: PlannerCode,
+) -> Option<IdmPlan> {
+    reflection
+        .plan_builder()
         .build(GraphedScene::new(&simulation.scene(), graph), code)
         .ok()
         .flatten()
 }
 
-/// Simulates a monitored plan for some iterations, or to the goal at which the scene ends. The
-/// samples begin with the present. `None` if the recording ends or the simulation fails before.
+/// Simulates a plan for some iterations, or to the goal at which the scene ends, monitored as the
+/// agent does by its defaults. The samples begin with the present. `None` if the recording ends or
+/// the simulation fails before.
 pub fn follow(
     simulation: &mut ClosedLoop<'_>,
     planner: &IdmPlan,
     memory: &mut PdmMemory,
     iterations: usize,
 ) -> Option<Vec<HistorySample>> {
-    let monitor = PlanMonitor {
-        steps: steps_of(ROLLOUT_S),
-        threshold: THRESHOLD,
-        emergency_brake: true,
-        handover: false,
-    };
+    let monitor = ReflectionSettings::default().plan_monitor();
+    follow_monitored(simulation, planner, monitor, memory, iterations)
+}
+
+fn follow_monitored(
+    simulation: &mut ClosedLoop<'_>,
+    planner: &IdmPlan,
+    monitor: PlanMonitor,
+    memory: &mut PdmMemory,
+    iterations: usize,
+) -> Option<Vec<HistorySample>> {
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {

@@ -1,11 +1,14 @@
 //! The controls as a run builds them.
 
-use crate::entries;
+use crate::{entries, search};
+use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{PlanAgentSettings, PlannerInitialization, PlannerInput};
 use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerParts};
+use planagent_agent::reasoning::PlannerAnswer;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_scenario::generator::{Spec, generate, types};
 use planagent_scenario::{HeldScenario, Scenario};
+use planagent_score::pdm::PdmMemory;
 use std::sync::Arc;
 
 fn scenario() -> Arc<Scenario> {
@@ -72,4 +75,31 @@ fn the_oracle_says_that_it_needs_a_simulation() {
         error.to_string().contains("a simulation to look ahead in"),
         "{error}"
     );
+}
+
+/// Labels say what a code is worth: they must not be of plans that no agent drives.
+#[test]
+fn the_search_judges_and_drives_a_code_as_the_agent_does() {
+    let (mut agents, settings) = (simulation(), PlanAgentSettings::default());
+    let entry = entries().find(|entry| entry.name.as_str() == "fixed-code");
+    let entry = entry.unwrap();
+    let mut planner = entry
+        .build(&parts(&entry, &settings, Some(&agents)))
+        .unwrap();
+    agents.initialize(planner.as_mut()).unwrap();
+    let trajectory = agents.plan(planner.as_mut()).unwrap();
+    let attempt = &planner.calls()[0].attempts[0];
+    let Some(PlannerAnswer::Code(code)) = attempt.answer else {
+        panic!("the control writes a code");
+    };
+
+    let mut searched = simulation();
+    let graph = LaneGraph::build(&searched.scene(), DEFAULT_NODE_LENGTH).unwrap();
+    let found = search::attempt(&searched, &graph, code).unwrap();
+    assert_eq!(Some(&found.reflection), attempt.reflection.as_ref());
+
+    let plan = search::planner(&searched, &graph, code).unwrap();
+    search::follow(&mut searched, &plan, &mut PdmMemory::default(), 1).unwrap();
+    agents.advance(&trajectory, "agent").unwrap();
+    assert_eq!(searched.present().ego, agents.present().ego);
 }

@@ -10,8 +10,12 @@ const METER: f64 = 0.001;
 
 /// Iterations that the simulation has left for a trial.
 pub fn horizon(simulation: &ClosedLoop<'_>) -> usize {
-    let last = simulation.scenario().iterations() - 1;
-    HORIZON.min(last - simulation.iteration())
+    HORIZON.min(to_end(simulation))
+}
+
+/// Iterations that the simulation has left.
+pub(crate) fn to_end(simulation: &ClosedLoop<'_>) -> usize {
+    simulation.scenario().iterations() - 1 - simulation.iteration()
 }
 
 /// The value of a drive from the present on: nuPlan's score and, for ties, the way. `next` gives the
@@ -31,15 +35,72 @@ pub fn value_of_drive(
         samples.push(trial.present().clone());
         trial.advance(&trajectory, "trial").ok()?;
     }
-    let scenario = simulation.scenario();
-    let from = scenario.start + simulation.iteration();
-    let frames = scenario.frames.get(from..=from + samples.len())?;
-    let expert: Vec<EgoState> = frames.iter().map(|frame| frame.ego).collect();
-    let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
-    let evaluation = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?;
+    let score = score_of_window(simulation, &samples)?;
     let ends = samples.first().zip(samples.last());
     let driven = ends.map_or(0.0, |(first, last)| {
         first.ego.rear_axle.distance(&last.ego.rear_axle)
     });
-    Some(evaluation.score.value + METER * driven)
+    Some(score + METER * driven)
+}
+
+/// nuPlan's score of the samples from the present on, beside the recorded ego of the same time.
+/// `None` where the recording ends before, or a metric cannot be computed.
+pub(crate) fn score_of_window(
+    simulation: &ClosedLoop<'_>,
+    samples: &[HistorySample],
+) -> Option<f64> {
+    let scenario = simulation.scenario();
+    let from = scenario.start + simulation.iteration();
+    let frames = scenario.frames.get(from..=from + samples.len())?;
+    let expert: Vec<EgoState> = frames.iter().map(|frame| frame.ego).collect();
+    let judged = EvaluatedSimulation::new(&scenario.map, samples, &expert);
+    score(&judged)
+}
+
+/// The score of a simulation with these samples before the present and from it on: interPlan's in a
+/// modified scene. `None` where a metric cannot be computed.
+pub(crate) fn score_of_whole(
+    simulation: &ClosedLoop<'_>,
+    past: &[HistorySample],
+    samples: &[HistorySample],
+) -> Option<f64> {
+    let scenario = simulation.scenario();
+    let whole: Vec<HistorySample> = past.iter().chain(samples).cloned().collect();
+    let expert: Vec<EgoState> = scenario.expert().copied().collect();
+    let judged = EvaluatedSimulation::new(&scenario.map, &whole, &expert)
+        .with_interaction(scenario.interaction.as_deref());
+    score(&judged)
+}
+
+fn score(judged: &EvaluatedSimulation<'_>) -> Option<f64> {
+    let evaluated = metrics::evaluate(MetricList::ClosedLoop, judged).ok()?;
+    Some(evaluated.score.value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planagent_agent::planner::IdmPlanner;
+    use planagent_agent::simulation::{Challenge, simulate};
+    use planagent_scenario::Scenario;
+    use std::sync::Arc;
+
+    #[test]
+    fn the_score_of_the_whole_is_that_of_the_simulation_wherever_it_is_cut() {
+        for name in [
+            "generated/changing_lane/3",
+            "generated/changing_lane/3~nudge_around_parked_vehicle",
+        ] {
+            let scenario = Arc::new(Scenario::open(name).unwrap());
+            let challenge = Challenge::Reactive;
+            let log = simulate(&scenario, &mut IdmPlanner::new(), challenge).unwrap();
+            let wanted = log.evaluate(&scenario).unwrap().score.value;
+            let simulation = ClosedLoop::new(&scenario, challenge).unwrap();
+            for cut in [0, 40] {
+                let (past, rest) = log.samples.split_at(cut);
+                let score = score_of_whole(&simulation, past, rest);
+                assert_eq!(score, Some(wanted), "{name} {cut}");
+            }
+        }
+    }
 }

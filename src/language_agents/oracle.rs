@@ -5,14 +5,14 @@ use crate::agent::ChatAgent;
 use crate::planner::{Handed, LanguagePlanner, Source};
 use crate::waypoints::SPACING_STEPS;
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerError};
+use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerError, ReflectionSettings};
 use planagent_agent::planner_registry::PlannerEntry;
 use planagent_agent::reasoning::{SeenPlace, WaypointList};
 use planagent_agent::simulation::ClosedLoop;
 use planagent_controls::foresight::{self, Foresight};
 use planagent_controls::search::{Candidate, best, search_ahead};
 use planagent_controls::trial::horizon;
-use planagent_world::SceneView;
+use planagent_world::{HistorySample, SceneView};
 
 /// Finds the best answer at the present of a simulation.
 pub(crate) type Find<A> = fn(&ClosedLoop<'static>, &A) -> Option<<A as ChatAgent>::Answer>;
@@ -56,7 +56,7 @@ impl<A: ChatAgent> Foresight for AnswerOracle<A> {
         self.planner.begins_with_call(scene)
     }
 
-    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>) {
+    fn look_ahead(&mut self, simulation: &ClosedLoop<'static>, _: &[HistorySample]) {
         let found = (self.find)(simulation, self.planner.agent());
         self.handed.hand(found);
     }
@@ -66,7 +66,8 @@ impl<A: ChatAgent> Foresight for AnswerOracle<A> {
 pub(crate) fn best_waypoints<A>(simulation: &ClosedLoop<'static>, _: &A) -> Option<WaypointList> {
     let scene = simulation.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok()?;
-    let tried = search_ahead(simulation, &graph, horizon(simulation));
+    let reflection = ReflectionSettings::default();
+    let tried = search_ahead(simulation, &graph, &reflection, horizon(simulation));
     waypoints_of(simulation, best(&tried)?)
 }
 

@@ -8,8 +8,8 @@ use super::{PlanAgentSettings, PlannerError, PlannerName};
 use crate::environment::lane_graph::ReturnLane;
 use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
 use crate::reflection::{IdmPlan, PlanBuilder};
-use planagent_score::pdm::{PdmMemory, TRAJECTORY_STEPS};
-use planagent_world::{STEP_S, SceneView};
+use planagent_score::pdm::PdmMemory;
+use planagent_world::SceneView;
 
 /// The plan that is executed.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -51,21 +51,13 @@ pub struct AgentState {
 
 impl AgentState {
     pub(super) fn new(name: PlannerName, settings: &PlanAgentSettings) -> Self {
-        let horizon_s = settings
-            .reflection
-            .horizon_s
-            .max(TRAJECTORY_STEPS as f64 * STEP_S);
         Self {
             name,
             active: ActivePlan::None,
             memory: PdmMemory::default(),
             calls: Vec::new(),
             clock: Clock::default(),
-            builder: PlanBuilder {
-                lead_policy: settings.reflection.lead_policy,
-                ride: settings.reflection.ride,
-                horizon_s,
-            },
+            builder: settings.reflection.plan_builder(),
             interval_s: settings.agent.interval_s,
             blocked_interval_s: settings.agent.blocked_interval_s,
             node_length_m: settings.environment.node_length_m,

@@ -17,7 +17,7 @@ use super::{BevSource, PlannerError, PlannerInput, PlannerName};
 use crate::environment::lane_graph::GoalLane;
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph, LaneGraphError};
 use crate::reasoning::{AnswerHistory, PlannerAnswer, ScenarioPrompt};
-use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
+use crate::reflection::{IdmPlan, needs_emergency_brake};
 use planagent_mllm::milliseconds;
 use planagent_score::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
 use planagent_world::{SceneView, Trajectory};
@@ -128,12 +128,7 @@ impl LanguageAgent for PlanAgent {
         let codes = source.open(prompt, graph, terms, max_exec, history)?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
-            Some(Judge::of_plans(
-                scene,
-                graph,
-                (settings.reflection.ride, settings.reflection.horizon_s),
-                &mut state.memory,
-            )?)
+            Some(settings.reflection.judge(scene, graph, &mut state.memory)?)
         } else {
             None
         };

@@ -3,8 +3,12 @@
 
 use super::language_settings::LanguageAgentSettings;
 use super::latency::Latency;
-use crate::environment::DEFAULT_NODE_LENGTH;
-use crate::reflection::{LeadPolicy, PlanMonitor, Ride, steps_of};
+use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use crate::reflection::{
+    Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionError, Ride, steps_of,
+};
+use planagent_score::pdm::{PdmMemory, TRAJECTORY_STEPS};
+use planagent_world::{STEP_S, SceneView};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -165,6 +169,41 @@ impl Default for ReflectionSettings {
     }
 }
 
+impl ReflectionSettings {
+    /// What builds plans that drive as these settings say.
+    pub fn plan_builder(&self) -> PlanBuilder {
+        PlanBuilder {
+            lead_policy: self.lead_policy,
+            ride: self.ride,
+            horizon_s: self.horizon_s.max(TRAJECTORY_STEPS as f64 * STEP_S),
+        }
+    }
+
+    /// How an active plan is monitored.
+    pub fn plan_monitor(&self) -> PlanMonitor {
+        PlanMonitor {
+            steps: steps_of(self.horizon_s),
+            threshold: self.threshold,
+            emergency_brake: self.emergency_brake,
+            handover: self.handover,
+        }
+    }
+
+    /// Reflection's view of a scene, which scores plans that drive as these settings say. The
+    /// reference path that PDM-Closed chooses now is kept in `memory`.
+    ///
+    /// # Errors
+    /// When the horizon is too short to be scored, or the ego's pose is not finite.
+    pub fn judge<'a>(
+        &self,
+        scene: &'a SceneView<'a>,
+        graph: &LaneGraph,
+        memory: &mut PdmMemory,
+    ) -> Result<Judge<'a>, ReflectionError> {
+        Judge::of_plans(scene, graph, (self.ride, self.horizon_s), memory)
+    }
+}
+
 /// Section `learned`: the checkpoint of each learned planner, a file. A key is the planner's name
 /// with `_` for `-`. Which planners there are, the registry knows.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -260,21 +299,8 @@ impl PlanAgentSettings {
 
     /// How the active plan is monitored; `None` where it is not.
     pub(super) fn monitor(&self) -> Option<PlanMonitor> {
-        let ReflectionSettings {
-            enabled,
-            monitoring,
-            horizon_s,
-            threshold,
-            emergency_brake,
-            handover,
-            ..
-        } = self.reflection;
-        (enabled && monitoring).then(|| PlanMonitor {
-            steps: steps_of(horizon_s),
-            threshold,
-            emergency_brake,
-            handover,
-        })
+        let reflection = &self.reflection;
+        (reflection.enabled && reflection.monitoring).then(|| reflection.plan_monitor())
     }
 
     /// The seed of the planning call at an iteration.

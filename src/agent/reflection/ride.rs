@@ -29,13 +29,12 @@ const SPEED_DECEL: f64 = 1.0;
 const STANDS: f64 = 0.1;
 
 /// How the plan of a code drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Ride {
     /// IDM from the first step on, whatever the ego did before, and at the desired speed through
     /// bends.
-    #[default]
     Idm,
     /// IDM that starts from the ego's own acceleration and limits its jerk, unless a collision asks
     /// for more, and speeds up less while the ego turns.

@@ -9,7 +9,7 @@ use planagent_agent::environment::{
     BevView, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, LaneGraphError, OccupancyGrid,
     SceneFacts, TextForm, bev,
 };
-use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
+use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput, ReflectionSettings};
 use planagent_agent::reasoning::{Feedback, PlannerCode, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
@@ -187,7 +187,9 @@ pub(crate) fn walk<T>(
                 .flat_map(|call| &call.attempts)
                 .filter(|attempt| is_rejected(attempt))
             {
-                note(Some(rejected.feedback(search::THRESHOLD)))?;
+                note(Some(
+                    rejected.feedback(ReflectionSettings::default().threshold),
+                ))?;
             }
             agent.state().active_plan().cloned()
         } else {
