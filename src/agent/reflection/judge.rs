@@ -130,7 +130,7 @@ impl<'a> Judge<'a> {
     ///
     /// # Errors
     /// When the horizon is too short to be scored, or the ego's pose is not finite.
-    pub fn of_plans(
+    pub(crate) fn of_plans(
         scene: &'a SceneView<'a>,
         graph: &LaneGraph,
         (ride, horizon_s): (Ride, f64),
