@@ -42,6 +42,9 @@ def main() -> None:
     place = tokenizer.convert_tokens_to_ids(chosen.unused)
     if place is None or place == tokenizer.unk_token_id:
         raise SystemExit(f"--unused {chosen.unused}: the tokenizer has no such token; name one of its special tokens")
+    # The decoder's numbers are dense by now, whatever its file stores.
+    if hasattr(decoder.config, "quantization_config"):
+        del decoder.config.quantization_config
     seen = tower.config
     config = LlavaConfig(
         vision_config=seen.vision_config,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -84,6 +85,15 @@ def arguments() -> argparse.ArgumentParser:
     evaluate.add_argument("--out", type=Path, required=True, help="run folder; writes evaluation.json and evaluation.md")
     evaluate.add_argument("--states", type=int, default=2_000)
 
+    chats = commands.add_parser("chats", help="the same questions to any chat model, from `planagent dataset --for messages`")
+    chats.add_argument("--model", required=True, help="a folder of transformers, or a GGUF file")
+    chats.add_argument("--adapter", type=Path, help="adapter of PEFT")
+    chats.add_argument("--data", type=Path, required=True, help="dataset of messages, of the prompt set compact-2")
+    chats.add_argument("--out", type=Path, required=True, help="writes evaluation.json and evaluation.md; the same command goes on")
+    chats.add_argument("--states", type=int, default=200)
+    chats.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    chats.add_argument("--dtype", choices=["float32", "bfloat16"], default="float32")
+
     selftest = commands.add_parser("selftest", help="the whole pipeline on stand-in scenes; fails unless it learns")
     selftest.add_argument("--folder", type=Path, help="keep the files here")
     selftest.add_argument("--steps", type=int, default=250)
@@ -136,6 +146,10 @@ def main() -> int:
         from . import evaluate
 
         evaluate.run(options.out, options.states)
+    elif options.command == "chats":
+        from . import chats
+
+        chats.run(options.model, options.adapter, options.data, options.out, options.states, options.dtype, options.threads)
     elif options.command == "selftest":
         from . import selftest
 

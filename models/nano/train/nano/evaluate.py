@@ -14,7 +14,9 @@ import re
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -32,6 +34,8 @@ from .model import NanoLlava
 from .samples import Sample, plain, with_picture_of, without_picture, without_text
 from .statistics import by_groups, wilson
 
+#: A question and an answer: numbers and tokens in a corpus, words in chats.
+Question, Answer = TypeVar("Question"), TypeVar("Answer")
 ROWS = 128
 #: What a state is shown with, and the report's name of how often the answers are right then.
 COLUMNS = {"both": "accuracy", "shuffled": "shuffled_image", "text": "text_only", "picture": "picture_only"}
@@ -97,31 +101,33 @@ def code_of(corpus: Corpus) -> tuple[int, ...]:
     return tuple(i for i, name in enumerate(corpus.questions) if name.startswith("code."))
 
 
-def score(corpus: Corpus, rows: list[int], found: dict[str, list[Script]], tokenizer: Tokenizer) -> list[dict]:
-    """A row of the table per question, from the answers to the states as they stand (`both`) and under each control."""
-    drives = np.array([corpus.names[row].rpartition("@")[0] for row in rows])
-    labels = [truths(corpus, row) for row in rows]
+def score(
+    asked_for: list[tuple[str, tuple[Question, ...]]],
+    drives: list[str],
+    labels: list[dict[Question, Answer]],
+    found: dict[str, list[dict[Question, Answer]]],
+    text_of: Callable[[Answer], str],
+) -> list[dict]:
+    """A row of the table for each name and its questions, from the answers to the states as they stand (`both`) and under each control."""
     table = []
-    code = code_of(corpus)
-    # Beside the questions one by one, the code as a whole.
-    asked_for = [(name, (i,)) for i, name in enumerate(corpus.questions)] + ([("code, all arguments", code)] if code else [])
     for name, parts in asked_for:
-        asked = [i for i in range(len(rows)) if all(part in labels[i] for part in parts)]
+        asked = [i for i in range(len(labels)) if all(part in labels[i] for part in parts)]
         if not asked:
             continue
         hits = {
-            how: np.array([all(scripts[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float) for how, scripts in found.items()
+            how: np.array([all(answers[i].get(p) == labels[i][p] for p in parts) for i in asked], float) for how, answers in found.items()
         }
         counts = Counter(tuple(labels[i][p] for p in parts) for i in asked)
         common, times = counts.most_common(1)[0]
         row = {
             "question": name, "states": len(asked), "majority": round(times / len(asked), 4),
-            "majority_value": " ".join(tokenizer.decode(list(tokens)) for tokens in common), "values": len(counts),
+            "majority_value": " ".join(map(text_of, common)), "values": len(counts),
         }  # fmt: skip
+        groups = np.array([drives[i] for i in asked])
         for how, right in hits.items():
-            low, high = (pick(a, b) for pick, a, b in zip((min, max), wilson(int(right.sum()), len(asked)), by_groups(right, drives[asked]), strict=True))
+            low, high = (pick(a, b) for pick, a, b in zip((min, max), wilson(int(right.sum()), len(asked)), by_groups(right, groups), strict=True))
             row |= {COLUMNS[how]: round(float(right.mean()), 4), f"{COLUMNS[how]}_95": [round(low, 4), round(high, 4)]}
-        row["above_both"] = bool(row["accuracy_95"][0] > max(times / len(asked), row["shuffled_image"]))
+        row["above_both"] = bool(row["accuracy_95"][0] > max(times / len(asked), row.get("shuffled_image", 0.0)))
         table.append(row)
     return table
 
@@ -160,10 +166,11 @@ def markdown(report: dict) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in report["questions"]:
-        blind = " | ".join(f"{row[name] * 100:.1f} ({between(row[f'{name}_95'])})" for name in ("text_only", "picture_only"))
+        blind = " | ".join(f"{row[name] * 100:.1f} ({between(row[f'{name}_95'])})" if name in row else "–" for name in ("text_only", "picture_only"))
+        shuffled = f"{row['shuffled_image'] * 100:.1f}" if "shuffled_image" in row else "–"
         lines.append(
             f"| {row['question']} | {row['accuracy'] * 100:.1f} | {between(row['accuracy_95'])} | {row['majority'] * 100:.1f} ({row['majority_value']}) | "
-            f"{row['shuffled_image'] * 100:.1f} | {blind} | {'yes' if row['above_both'] else 'no'} |"
+            f"{shuffled} | {blind} | {'yes' if row['above_both'] else 'no'} |"
         )
     if twins := report["twins"]:
         lines += ["", "| both codes of a pair of twins right | pairs | % | 95 % |", "|---|---|---|---|"]
@@ -205,9 +212,14 @@ def run(out: Path, states: int) -> dict:
         found = {how: free_running(model, corpus, collator, samples, choices, assistant) for how, samples in shown.items()}
         twins = free_running(model, corpus, collator, [plain(corpus, row) for pair in pairs for row in pair], choices, assistant)
         free = unconstrained(model, corpus, collator, rows[:512], tokenizer)
-    table = score(corpus, rows, found, tokenizer)
+    code = code_of(corpus)
+    # Beside the questions one by one, the code as a whole.
+    asked_for = [(name, (i,)) for i, name in enumerate(corpus.questions)] + ([("code, all arguments", code)] if code else [])
+    drives = [corpus.names[row].rpartition("@")[0] for row in rows]
+    answered = {how: [script.answers for script in scripts] for how, scripts in found.items()}
+    table = score(asked_for, drives, [truths(corpus, row) for row in rows], answered, lambda tokens: tokenizer.decode(list(tokens)))
     report = {
-        "states": len(rows), "drives": len({corpus.names[row].rpartition("@")[0] for row in rows}), "questions": table,
+        "states": len(rows), "drives": len(set(drives)), "questions": table,
         "twins": score_twins(corpus, pairs, twins) if pairs else None, "keep_lane": calibrate(corpus, rows, found["both"], tokenizer),
         "without_grammar": free, "progress": state["progress"], "recipe": state["recipe"],
     }  # fmt: skip
