@@ -91,6 +91,14 @@ impl<P> Tried<P> {
             .as_ref()
             .map_or(0.0, |report| report.score)
     }
+
+    /// What a refused plan is compared by.
+    fn expected_score(&self) -> f64 {
+        self.record
+            .reflection
+            .as_ref()
+            .map_or(0.0, ReflectionReport::expected_score)
+    }
 }
 
 /// The attempts of a planning call.
@@ -101,7 +109,7 @@ pub struct Attempts<P> {
     pub(super) interruption: Option<Interruption>,
     /// What the question says of the last answer.
     unreadable: Option<Unreadable>,
-    /// The score of the plan that is driven where no attempt is accepted, if there is one.
+    /// What the plan is compared by that is driven where no attempt is accepted, if there is one.
     pub(super) rival: Option<f64>,
 }
 
@@ -242,7 +250,7 @@ impl<P> Attempts<P> {
             .rev()
             .filter(|(_, tried)| tried.plan.is_some());
         plans
-            .max_by(|(_, a), (_, b)| a.score().total_cmp(&b.score()))
+            .max_by(|(_, a), (_, b)| a.expected_score().total_cmp(&b.expected_score()))
             .map(|(index, _)| index)
     }
 
@@ -257,6 +265,11 @@ impl<P> Attempts<P> {
     /// The score of an attempt.
     pub(super) fn score(&self, index: usize) -> f64 {
         self.tried[index].score()
+    }
+
+    /// What a refused attempt is compared by.
+    pub(super) fn expected_score(&self, index: usize) -> f64 {
+        self.tried[index].expected_score()
     }
 
     /// The records of all attempts, and the plan of one.
@@ -309,10 +322,12 @@ impl Proposal {
     }
 }
 
-/// Order among answers that are compared: accepted plans first, then by score.
+/// Order among answers that are compared: accepted plans first, by their score, then refused ones,
+/// by the mean over what crossing traffic may do.
 fn rank(report: Option<&ReflectionReport>) -> (bool, f64) {
-    report.map_or((false, f64::NEG_INFINITY), |report| {
-        (report.verdict == Verdict::Execute, report.score)
+    report.map_or((false, f64::NEG_INFINITY), |report| match report.verdict {
+        Verdict::Execute => (true, report.score),
+        Verdict::Rethink => (false, report.expected_score()),
     })
 }
 
@@ -360,7 +375,7 @@ mod tests {
     use super::*;
     use crate::environment::CenterlineName;
     use crate::reasoning::PlannerCode;
-    use crate::reflection::{ProgressReference, SubScores};
+    use crate::reflection::{BehaviorScores, ProgressReference, SubScores};
     use planagent_score::pdm::DrivableLayers;
 
     const THRESHOLD: f64 = 0.75;
@@ -390,6 +405,10 @@ mod tests {
                 progress: 1.0,
                 time_to_collision: 1.0,
                 comfort: 1.0,
+            },
+            behaviors: BehaviorScores {
+                yields: score,
+                insists: score,
             },
             progress_reference: ProgressReference::OwnProgress,
             drivable_layers: DrivableLayers::DrivableArea,
@@ -447,6 +466,20 @@ mod tests {
                 .unwrap();
         }
         attempts
+    }
+
+    #[test]
+    fn of_refused_plans_the_one_is_best_that_fails_if_nobody_yields() {
+        let mut attempts = attempts(&[9.0, 9.0, 9.0]);
+        for tried in &mut attempts.tried {
+            if let Some(report) = &mut tried.record.reflection {
+                (report.score, report.verdict) = (0.0, Verdict::Rethink);
+                report.behaviors.yields = 0.0;
+            }
+        }
+        let second = attempts.tried[1].record.reflection.as_mut().unwrap();
+        second.behaviors.yields = 0.9;
+        assert_eq!((attempts.accepted(), attempts.best()), (None, Some(1)));
     }
 
     #[test]

@@ -168,7 +168,7 @@ impl LanguageAgent for PlanAgent {
             && takes_best
         {
             let extended = state.builder.extend(active, seen)?;
-            attempts.rival = Some(judge.reflect(&extended, threshold)?.score);
+            attempts.rival = Some(judge.reflect(&extended, threshold)?.expected_score());
         }
         Ok(attempts)
     }
@@ -181,7 +181,7 @@ impl LanguageAgent for PlanAgent {
             (None, None, Some(index))
                 if attempts
                     .rival
-                    .is_some_and(|active| active > attempts.score(index)) =>
+                    .is_some_and(|active| active > attempts.expected_score(index)) =>
             {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }

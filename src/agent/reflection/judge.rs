@@ -1,6 +1,7 @@
 //! Scores plans by PDM's measure over a short horizon. Why nothing of it is learned:
 //! docs/decisions/146-no-learned-judge.md.
 
+use super::behavior::{BehaviorScores, Behaviors};
 use super::overtake::OvertakeRules;
 use super::reach::{Compared, MIN_REACH, Reach, is_compared};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
@@ -9,7 +10,7 @@ use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    self, Collided, Contest, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, OvertakeVerdict,
+    self, Collided, Contest, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, Forecast, OvertakeVerdict,
     PdmInstant, PdmMemory, ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions,
     score_proposals, simulate_proposals,
 };
@@ -96,6 +97,8 @@ pub enum ReflectionError {
 pub struct Judge<'a> {
     scene: &'a SceneView<'a>,
     instant: PdmInstant<'a>,
+    /// The forecasts of other behaviors.
+    behaviors: Behaviors,
     /// The line along which progress is measured.
     centerline: Polyline,
     steps: usize,
@@ -166,6 +169,7 @@ impl<'a> Judge<'a> {
         let (proposals, rivals) = (Vec::new(), Reach::default());
         Ok(Self {
             scene,
+            behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
             instant,
             centerline,
             steps,
@@ -207,6 +211,7 @@ impl<'a> Judge<'a> {
         );
         Ok(Self {
             scene,
+            behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
             instant,
             centerline,
             steps,
@@ -228,6 +233,7 @@ impl<'a> Judge<'a> {
         let proposals = compared.versions_at_limit(&instant.scoring(&centerline, 0.0))?;
         Ok(Self {
             scene: compared.scene,
+            behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
             instant,
             centerline,
             steps: compared.steps,
@@ -315,22 +321,15 @@ impl<'a> Judge<'a> {
         threshold: f64,
     ) -> Result<ReflectionReport, ReflectionError> {
         let batch = [states];
-        let scores = match plan {
-            Some(plan) => {
-                score_versions(self.scene, plan, &[Version::PLAN], &self.scoring(), &batch)?
-            }
-            None => score_proposals(&self.scoring(), &batch)?,
+        let score = self.score(&batch, plan, &self.instant.forecast)?;
+        let under = |forecast| -> Result<f64, MetricError> {
+            Ok(self.score(&batch, plan, forecast)?.total)
+        };
+        let behaviors = BehaviorScores {
+            yields: under(&self.behaviors.yields)?,
+            insists: under(&self.behaviors.insists)?,
         };
         let [states] = batch;
-        // One proposal in, one score out.
-        let mut score = scores
-            .first()
-            .copied()
-            .ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
-        if self.reference == ProgressReference::Reach {
-            let own = Reach::from_rollout(&score, &states).reach_m;
-            score = score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own)));
-        }
         let verdict = if score.total >= threshold {
             Verdict::Execute
         } else {
@@ -339,6 +338,7 @@ impl<'a> Judge<'a> {
         Ok(ReflectionReport {
             score: score.total,
             parts: parts(&score),
+            behaviors,
             progress_reference: self.reference,
             drivable_layers: self.instant.drivable.layers(),
             threshold,
@@ -348,6 +348,33 @@ impl<'a> Judge<'a> {
             first_ttc_s: score.first_ttc_s,
             states,
         })
+    }
+
+    /// The score of the states of one roll-out where the others drive as `forecast` says.
+    fn score(
+        &self,
+        states: &[Vec<EgoState>; 1],
+        plan: Option<&IdmPlan>,
+        forecast: &Forecast,
+    ) -> Result<ProposalScore, MetricError> {
+        let scoring = ScoringScene {
+            forecast,
+            ..self.scoring()
+        };
+        let scores = match plan {
+            Some(plan) => score_versions(self.scene, plan, &[Version::PLAN], &scoring, states)?,
+            None => score_proposals(&scoring, states)?,
+        };
+        // One proposal in, one score out.
+        let score = scores
+            .first()
+            .copied()
+            .ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
+        if self.reference != ProgressReference::Reach {
+            return Ok(score);
+        }
+        let own = Reach::from_rollout(&score, &states[0]).reach_m;
+        Ok(score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own))))
     }
 }
 

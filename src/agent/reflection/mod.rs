@@ -1,6 +1,7 @@
 //! Stage 5: the Reflection module of the paper. It builds the plan of a planner code, rolls it out
 //! over a short horizon and scores it before it becomes active.
 
+mod behavior;
 mod handover;
 mod judge;
 mod monitor;
@@ -15,6 +16,7 @@ mod road;
 mod rollout;
 mod shift;
 
+pub use behavior::BehaviorScores;
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
 pub use overtake::OvertakeRules;

@@ -16,7 +16,9 @@ use planagent_agent::reasoning::{
     Assistance, DrivingAction, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
     WaypointList,
 };
-use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
+use planagent_agent::reflection::{
+    BehaviorScores, ProgressReference, ReflectionReport, SubScores, Verdict,
+};
 use planagent_agent::simulation::Challenge;
 use planagent_files::OpenFolder;
 use planagent_mllm::RoundTime;
@@ -167,6 +169,9 @@ pub struct ReflectionRecord {
     pub score: f64,
     /// The parts of the score.
     pub parts: SubScores,
+    /// The score where crossing traffic yields or insists; none in runs of before version 24.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub behaviors: Option<BehaviorScores>,
     /// What progress was divided by.
     pub progress_reference: ProgressReference,
     /// The areas that counted as drivable.
@@ -367,6 +372,7 @@ impl ReflectionRecord {
         let ReflectionReport {
             score,
             parts,
+            behaviors,
             progress_reference,
             drivable_layers,
             verdict,
@@ -375,6 +381,7 @@ impl ReflectionRecord {
         Self {
             score,
             parts,
+            behaviors: Some(behaviors),
             progress_reference,
             drivable_layers,
             verdict,

@@ -1,9 +1,9 @@
 //! The decision of a planning call in words: what is executed, and why.
 
-use super::call_record::{CallRecord, DecisionRecord};
+use super::call_record::{CallRecord, DecisionRecord, ReflectionRecord};
 use super::number::fixed;
 use planagent_agent::planner::{Attempt, Decision, NoPlan, PlanningCall};
-use planagent_agent::reflection::{SubScores, Verdict};
+use planagent_agent::reflection::{BehaviorScores, ReflectionReport, SubScores, Verdict};
 
 /// Whether Reflection refused every attempt of a call.
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
@@ -40,10 +40,10 @@ pub(super) fn all_are_zero(call: &PlanningCall, part: fn(&SubScores) -> f64) -> 
 
 /// The decision of a planning call in words.
 pub fn decision_words(call: &PlanningCall) -> String {
-    let scores: Vec<Option<f64>> = call
+    let scores: Vec<Option<RefusedScore>> = call
         .attempts
         .iter()
-        .map(|a| Some(a.reflection.as_ref()?.score))
+        .map(|a| a.reflection.as_ref().map(RefusedScore::from_report))
         .collect();
     let refused = Refused {
         scores: &scores,
@@ -57,10 +57,10 @@ pub fn decision_words(call: &PlanningCall) -> String {
 
 /// The decision of a recorded call in words.
 pub(super) fn recorded_words(call: &CallRecord) -> String {
-    let scores: Vec<Option<f64>> = call
+    let scores: Vec<Option<RefusedScore>> = call
         .attempts
         .iter()
-        .map(|a| Some(a.reflection.as_ref()?.score))
+        .map(|a| a.reflection.as_ref().map(RefusedScore::from_record))
         .collect();
     let codes = call
         .attempts
@@ -82,10 +82,37 @@ fn is_one(codes: impl Iterator<Item = Option<String>>) -> bool {
     codes.first().is_some_and(Option::is_some) && codes.windows(2).all(|pair| pair[0] == pair[1])
 }
 
+/// What a refused plan is compared by.
+#[derive(Debug, Clone, Copy)]
+struct RefusedScore {
+    /// Reflection's score.
+    score: f64,
+    /// The mean over what crossing traffic may do.
+    expected: f64,
+}
+
+impl RefusedScore {
+    fn from_report(report: &ReflectionReport) -> Self {
+        Self {
+            score: report.score,
+            expected: report.expected_score(),
+        }
+    }
+
+    /// Runs of before version 24 compare by the score alone.
+    fn from_record(record: &ReflectionRecord) -> Self {
+        let expected = |behaviors: BehaviorScores| behaviors.expected_beside(record.score);
+        Self {
+            score: record.score,
+            expected: record.behaviors.map_or(record.score, expected),
+        }
+    }
+}
+
 /// The attempts of a call that may have been refused.
 struct Refused<'a> {
     /// Reflection's scores, by attempt; none for an attempt without a plan.
-    scores: &'a [Option<f64>],
+    scores: &'a [Option<RefusedScore>],
     /// Whether all have the same planner code.
     one_code: bool,
 }
@@ -157,15 +184,20 @@ impl Refused<'_> {
     /// The refused attempt that is executed, and why.
     fn instead(&self, index: usize, keeps_lane: bool) -> String {
         let own = self.scores.get(index).copied().flatten();
-        let is_best =
-            own.is_some_and(|own| self.scores.iter().flatten().all(|score| *score <= own));
+        let is_best = |of: fn(&RefusedScore) -> f64| {
+            own.is_some_and(|own| self.scores.iter().flatten().all(|one| of(one) <= of(&own)))
+        };
         let score = own
-            .map(|own| format!(" (score {})", fixed(own, 2)))
+            .map(|own| format!(" (score {})", fixed(own.score, 2)))
             .unwrap_or_default();
-        let why = match is_best {
-            _ if self.one_code || self.scores.len() == 1 => "there is no better plan",
-            true => "no other attempt scores more",
-            false => "it is the last one",
+        let why = if self.one_code || self.scores.len() == 1 {
+            "there is no better plan"
+        } else if is_best(|one| one.score) {
+            "no other attempt scores more"
+        } else if is_best(|one| one.expected) {
+            "it scores most over what crossing traffic may do"
+        } else {
+            "it is the last one"
         };
         let lane = if keeps_lane {
             ", in the ego's lane: a refused plan must not begin a lane change"
@@ -185,7 +217,7 @@ mod tests {
     use planagent_agent::environment::CenterlineName;
     use planagent_agent::planner::Unreadable;
     use planagent_agent::reasoning::PlannerCode;
-    use planagent_agent::reflection::{ProgressReference, ReflectionReport};
+    use planagent_agent::reflection::ProgressReference;
     use planagent_score::pdm::DrivableLayers;
 
     const CODE: PlannerCode = PlannerCode {
@@ -210,6 +242,10 @@ mod tests {
         ReflectionReport {
             score,
             parts,
+            behaviors: BehaviorScores {
+                yields: score,
+                insists: score,
+            },
             progress_reference,
             drivable_layers,
             threshold: 0.75,
@@ -246,6 +282,15 @@ mod tests {
                 "attempt 3 (score 0.30) is executed all the same, because it is the last one"
             ),
             "{last}"
+        );
+        let mut yields = call(Decision::Exhausted(1), &[Some(0.1), Some(0.0), Some(0.0)]);
+        if let Some(report) = &mut yields.attempts[1].reflection {
+            report.behaviors.yields = 0.9;
+        }
+        assert!(
+            decision_words(&yields).ends_with("it scores most over what crossing traffic may do"),
+            "{}",
+            decision_words(&yields)
         );
         let mut same = best.clone();
         for attempt in &mut same.attempts {

@@ -217,13 +217,17 @@ fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planagent_agent::reflection::SubScores;
+    use planagent_agent::reflection::{BehaviorScores, SubScores};
     use planagent_score::pdm::DrivableLayers;
 
     fn report(parts: SubScores, score: f64) -> ReflectionReport {
         ReflectionReport {
             score,
             parts,
+            behaviors: BehaviorScores {
+                yields: score,
+                insists: score,
+            },
             progress_reference: ProgressReference::PdmProposals,
             drivable_layers: DrivableLayers::Lanes,
             threshold: 0.75,

@@ -9,6 +9,7 @@ use super::visible::{in_markdown, markdown_block, markdown_cell, markdown_line, 
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_agent::planner::{Attempt, PlanningCall};
 use planagent_agent::reasoning::{PlannerAnswer, RoundRecord, ToolUse};
+use planagent_agent::reflection::BehaviorScores;
 use planagent_world::STEP_S;
 use std::fmt::Write;
 
@@ -170,15 +171,20 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         );
     }
     if !attempt.proposals.is_empty() {
-        text.push_str("| proposal | score |\n|---|---:|\n");
+        text.push_str("| proposal | score | if crossing traffic yields | if it insists |\n|---|---:|---:|---:|\n");
         for proposal in &attempt.proposals {
-            let score = proposal
-                .reflection
-                .as_ref()
-                .map_or_else(|| "-".to_owned(), |report| fixed(report.score, 2));
+            let scores = proposal.reflection.as_ref().map_or_else(
+                || "- | - | -".to_owned(),
+                |report| {
+                    let BehaviorScores { yields, insists } = report.behaviors;
+                    [report.score, yields, insists]
+                        .map(|score| fixed(score, 2))
+                        .join(" | ")
+                },
+            );
             let _ = writeln!(
                 text,
-                "| {} | {score} |",
+                "| {} | {scores} |",
                 markdown_cell(&proposal.answer.to_string())
             );
         }
@@ -203,9 +209,11 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             .collect();
         let _ = writeln!(
             text,
-            "Reflection: **{:.2}** ({})\n",
+            "Reflection: **{:.2}** ({}). If crossing traffic yields {}, if it insists {}.\n",
             reflection.score,
-            parts.join(", ")
+            parts.join(", "),
+            fixed(reflection.behaviors.yields, 2),
+            fixed(reflection.behaviors.insists, 2)
         );
     }
     text

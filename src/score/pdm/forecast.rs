@@ -75,6 +75,8 @@ pub struct ForecastObject {
     pub velocity: Vector,
     /// Curvature of its way, to the left of the velocity, 1/m; zero in PDM-Closed's forecast.
     pub(super) curvature: f64,
+    /// Acceleration along its way until it stands, m/s²; zero in PDM-Closed's forecast.
+    acceleration: f64,
     /// Half the diagonal of the box, meters.
     pub(super) radius: f64,
 }
@@ -95,15 +97,27 @@ impl ForecastObject {
             track: *track,
             velocity,
             curvature: 0.0,
+            acceleration: 0.0,
             radius: track.shape.diagonal() / 2.0,
         }
     }
 
-    /// Seconds after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the
-    /// even step before.
+    /// Seconds at its present speed that lead as far as it drives in a number of steps of 0.1 s, at
+    /// the forecast's resolution: odd steps show the even step before.
     #[inline]
-    fn seconds(step: usize) -> f64 {
-        (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S
+    fn seconds(&self, step: usize) -> f64 {
+        let time = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
+        if self.acceleration == 0.0 {
+            return time;
+        }
+        let speed = self.velocity.norm();
+        let stands_s = if self.acceleration < 0.0 {
+            speed / -self.acceleration
+        } else {
+            f64::INFINITY
+        };
+        let drives_s = time.min(stands_s);
+        drives_s + self.acceleration * drives_s.powi(2) / (2.0 * speed)
     }
 
     /// The angle by which the way has turned after a number of steps, radians.
@@ -112,14 +126,14 @@ impl ForecastObject {
         if self.curvature == 0.0 {
             0.0
         } else {
-            self.curvature * self.velocity.norm() * Self::seconds(step)
+            self.curvature * self.velocity.norm() * self.seconds(step)
         }
     }
 
     /// The center after a number of steps of 0.1 s.
     #[inline]
     pub(super) fn center_at(&self, step: usize) -> Point {
-        let moved = self.velocity * Self::seconds(step);
+        let moved = self.velocity * self.seconds(step);
         let half = self.turned(step) / 2.0;
         if half == 0.0 {
             return self.track.shape.center.position() + moved;
@@ -138,7 +152,7 @@ impl ForecastObject {
             return Bounds::around(&ends);
         }
         // An arc keeps within half its length of the middle of its chord.
-        let half_length = self.velocity.norm() * (Self::seconds(last) - Self::seconds(first)) / 2.0;
+        let half_length = self.velocity.norm() * (self.seconds(last) - self.seconds(first)) / 2.0;
         Bounds::square(
             Point::from((ends[0].coords + ends[1].coords) / 2.0),
             half_length,
@@ -222,6 +236,24 @@ impl Forecast {
     pub fn along_lanes(mut self, map: &LaneMap) -> Self {
         for object in &mut self.objects {
             object.curvature = lane_curvature(map, object).unwrap_or(0.0);
+        }
+        self
+    }
+
+    /// The same, but moving vehicles and bicycles that `which` selects accelerate along their way,
+    /// m/s²; those that brake stop.
+    #[must_use]
+    pub fn accelerated(
+        mut self,
+        acceleration: f64,
+        which: impl Fn(&ForecastObject) -> bool,
+    ) -> Self {
+        for object in &mut self.objects {
+            let drives = matches!(object.track.kind, ObjectKind::Vehicle | ObjectKind::Bicycle)
+                && object.velocity != Vector::zeros();
+            if drives && which(object) {
+                object.acceleration = acceleration;
+            }
         }
         self
     }
@@ -312,9 +344,16 @@ mod tests {
             shape: OrientedBox::new(pose, 4.0, 2.0),
             velocity: Vector::new(10.0, 0.0),
         };
-        for curvature in [0.0, 0.001, 0.1] {
+        for (curvature, acceleration) in [
+            (0.0, 0.0),
+            (0.001, 0.0),
+            (0.1, 0.0),
+            (0.1, -9.0),
+            (0.1, 2.0),
+        ] {
             let object = ForecastObject {
                 curvature,
+                acceleration,
                 ..ForecastObject::new(&track)
             };
             for first in 0..12 {
@@ -322,7 +361,7 @@ mod tests {
                 for step in first..=first + 9 {
                     assert!(
                         bounds.contains(object.center_at(step)),
-                        "{curvature}: {first} {step}"
+                        "{curvature} {acceleration}: {first} {step}"
                     );
                 }
             }

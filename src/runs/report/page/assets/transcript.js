@@ -96,6 +96,7 @@ class Transcript {
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no plan was read"),
       code?.waypoints && i === executed ? h("p", { class: "onward" }, ONWARD) : null,
       reflection && !repeat ? partsTable(reflection.parts) : null,
+      reflection?.behaviors && !repeat ? h("p", { class: "quiet" }, behaviorWords(reflection.behaviors)) : null,
       attempt.proposals?.length ? proposalsTable(attempt.proposals) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
       repeat?.whole ? h("details", {}, h("summary", {}, "prompts and answers"), showRounds(attempt)) : showRounds(attempt));
@@ -126,10 +127,19 @@ function errorWords(error) {
   return typeof error === "string" ? error : error.message ?? JSON.stringify(error);
 }
 
-/** The lines that an attempt proposed, the likeliest first. */
+/** The score of a plan where crossing traffic does not keep its course. */
+function behaviorWords({ yields, insists }) {
+  return `if crossing traffic yields ${fixed(yields, 2)}, if it insists ${fixed(insists, 2)}`;
+}
+
+/** The lines that an attempt proposed, the likeliest first, with their scores by what crossing traffic does. */
 function proposalsTable(proposals) {
-  const row = ({ code, reflection }) => h("tr", {}, h("td", {}, h("code", {}, code.text)), h("td", {}, reflection ? fixed(reflection.score, 2) : "-"));
-  return h("details", {}, h("summary", {}, `${proposals.length} proposals`), h("table", { class: "proposals" }, h("tbody", {}, proposals.map(row))));
+  const cells = ({ reflection }) => [reflection?.score, reflection?.behaviors?.yields, reflection?.behaviors?.insists]
+    .map((score) => h("td", {}, score === undefined ? "-" : fixed(score, 2)));
+  const row = (proposal) => h("tr", {}, h("td", {}, h("code", {}, proposal.code.text)), cells(proposal));
+  const head = h("tr", {}, ["code", "score", "yields", "insists"].map((word) => h("th", {}, word)));
+  return h("details", {}, h("summary", {}, `${proposals.length} proposals`),
+    h("table", { class: "proposals" }, h("thead", {}, head), h("tbody", {}, proposals.map(row))));
 }
 
 function partsTable(parts) {
