@@ -322,6 +322,7 @@ impl<'a> Judge<'a> {
     ) -> Result<ReflectionReport, ReflectionError> {
         let batch = [states];
         let score = self.score(&batch, plan, &self.instant.forecast)?;
+        // The roll-out stays, since a plan expects all others to keep their course.
         let under = |forecast| -> Result<f64, MetricError> {
             Ok(self.score(&batch, plan, forecast)?.total)
         };
