@@ -207,13 +207,18 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             .iter()
             .map(|(name, v)| format!("{name} {}", fixed(*v, 2)))
             .collect();
+        let BehaviorScores { yields, insists } = reflection.behaviors;
+        let [score, yields, insists] =
+            [reflection.score, yields, insists].map(|score| fixed(score, 2));
+        let others = if yields == score && insists == score {
+            String::new()
+        } else {
+            format!(". If crossing traffic yields {yields}, if it insists {insists}")
+        };
         let _ = writeln!(
             text,
-            "Reflection: **{:.2}** ({}). If crossing traffic yields {}, if it insists {}.\n",
-            reflection.score,
-            parts.join(", "),
-            fixed(reflection.behaviors.yields, 2),
-            fixed(reflection.behaviors.insists, 2)
+            "Reflection: **{score}** ({}){others}\n",
+            parts.join(", ")
         );
     }
     text

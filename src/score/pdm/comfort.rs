@@ -1,17 +1,13 @@
 //! The comfort term of a proposal: nuPlan's bounds on differently filtered signals (`tuplan_garage`
 //! `pdm_comfort_metrics.py`).
 
-use super::proposals::PROPOSAL_STEPS;
 use crate::metrics::{
     ACCELERATION_WINDOW, ComfortQuantity, MetricError, SavitzkyGolay, YAW_WINDOW, mean_step_s,
 };
 use planagent_world::EgoState;
 use planagent_world::geometry::unwrap_angles;
-use std::sync::LazyLock;
-
-/// The filters of PDM's own horizon, made once.
-static PDM_FILTERS: LazyLock<Result<Filters, MetricError>> =
-    LazyLock::new(|| Filters::new(PROPOSAL_STEPS + 1));
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, PoisonError, RwLock};
 
 /// Whether the six bounded quantities stay strictly within nuPlan's bounds. Accelerations are those
 /// of the rear axle, smoothed by a single quadratic over all states. Jerks are the derivative of a
@@ -20,13 +16,7 @@ static PDM_FILTERS: LazyLock<Result<Filters, MetricError>> =
 /// # Errors
 /// When there are fewer than 4 states.
 pub(crate) fn is_comfortable(states: &[EgoState]) -> Result<bool, MetricError> {
-    if states.len() == PROPOSAL_STEPS + 1 {
-        return PDM_FILTERS
-            .as_ref()
-            .map(|filters| filters.is_comfortable(states))
-            .map_err(Clone::clone);
-    }
-    Filters::new(states.len()).map(|filters| filters.is_comfortable(states))
+    Filters::of_length(states.len()).map(|filters| filters.is_comfortable(states))
 }
 
 /// The filters of all quantities for a number of states.
@@ -39,6 +29,21 @@ struct Filters {
 }
 
 impl Filters {
+    /// Those of a number of states, made once, since making them takes longer than all the rest of a
+    /// score.
+    fn of_length(states: usize) -> Result<Arc<Self>, MetricError> {
+        static MADE: LazyLock<RwLock<HashMap<usize, Arc<Filters>>>> =
+            LazyLock::new(RwLock::default);
+        let made = MADE.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(filters) = made.get(&states) {
+            return Ok(Arc::clone(filters));
+        }
+        drop(made);
+        let filters = Arc::new(Self::new(states)?);
+        let mut made = MADE.write().unwrap_or_else(PoisonError::into_inner);
+        Ok(Arc::clone(made.entry(states).or_insert(filters)))
+    }
+
     fn new(states: usize) -> Result<Self, MetricError> {
         let filter = |window, order, derivative| {
             Filter::new(

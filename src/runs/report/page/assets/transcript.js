@@ -96,7 +96,7 @@ class Transcript {
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no plan was read"),
       code?.waypoints && i === executed ? h("p", { class: "onward" }, ONWARD) : null,
       reflection && !repeat ? partsTable(reflection.parts) : null,
-      reflection?.behaviors && !repeat ? h("p", { class: "quiet" }, behaviorWords(reflection.behaviors)) : null,
+      reflection && !repeat ? showBehaviors(reflection) : null,
       attempt.proposals?.length ? proposalsTable(attempt.proposals) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
       repeat?.whole ? h("details", {}, h("summary", {}, "prompts and answers"), showRounds(attempt)) : showRounds(attempt));
@@ -127,9 +127,10 @@ function errorWords(error) {
   return typeof error === "string" ? error : error.message ?? JSON.stringify(error);
 }
 
-/** The score of a plan where crossing traffic does not keep its course. */
-function behaviorWords({ yields, insists }) {
-  return `if crossing traffic yields ${fixed(yields, 2)}, if it insists ${fixed(insists, 2)}`;
+/** The score of a plan where crossing traffic does not keep its course; nothing where that changes no score. */
+function showBehaviors({ score, behaviors }) {
+  if (!behaviors || Object.values(behaviors).every((other) => fixed(other, 2) === fixed(score, 2))) return null;
+  return h("p", { class: "behaviors" }, `if crossing traffic yields ${fixed(behaviors.yields, 2)}, if it insists ${fixed(behaviors.insists, 2)}`);
 }
 
 /** The lines that an attempt proposed, the likeliest first, with their scores by what crossing traffic does. */
