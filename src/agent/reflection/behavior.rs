@@ -113,9 +113,7 @@ mod tests {
     #[test]
     fn what_drives_along_the_egos_way_behaves_as_forecast() {
         let [keeps, yields, insists] = scores([30.0, 0.0], 0.0, 8.0);
-        assert!(
-            keeps > 0.0 && yields == keeps && insists == keeps,
-            "{yields} {insists}"
-        );
+        let apart = (yields - keeps).abs().max((insists - keeps).abs());
+        assert!(keeps > 0.0 && apart < 1e-12, "{yields} {insists}");
     }
 }
