@@ -97,7 +97,7 @@ impl<P> Tried<P> {
         self.record
             .reflection
             .as_ref()
-            .map_or(0.0, ReflectionReport::expected_score)
+            .map_or(0.0, |report| report.behaviors.expected)
     }
 }
 
@@ -327,7 +327,7 @@ impl Proposal {
 fn rank(report: Option<&ReflectionReport>) -> (bool, f64) {
     report.map_or((false, f64::NEG_INFINITY), |report| match report.verdict {
         Verdict::Execute => (true, report.score),
-        Verdict::Rethink => (false, report.expected_score()),
+        Verdict::Rethink => (false, report.behaviors.expected),
     })
 }
 
@@ -406,10 +406,7 @@ mod tests {
                 time_to_collision: 1.0,
                 comfort: 1.0,
             },
-            behaviors: BehaviorScores {
-                yields: score,
-                insists: score,
-            },
+            behaviors: BehaviorScores::new(score, score, score),
             progress_reference: ProgressReference::OwnProgress,
             drivable_layers: DrivableLayers::DrivableArea,
             threshold: THRESHOLD,
@@ -469,16 +466,16 @@ mod tests {
     }
 
     #[test]
-    fn of_refused_plans_the_one_is_best_that_fails_if_nobody_yields() {
+    fn a_refused_plan_that_is_good_if_others_yield_is_better_than_one_that_is_not() {
         let mut attempts = attempts(&[9.0, 9.0, 9.0]);
         for tried in &mut attempts.tried {
             if let Some(report) = &mut tried.record.reflection {
                 (report.score, report.verdict) = (0.0, Verdict::Rethink);
-                report.behaviors.yields = 0.0;
+                report.behaviors = BehaviorScores::new(0.0, 0.0, 0.0);
             }
         }
         let second = attempts.tried[1].record.reflection.as_mut().unwrap();
-        second.behaviors.yields = 0.9;
+        second.behaviors = BehaviorScores::new(0.0, 0.9, 0.0);
         assert_eq!((attempts.accepted(), attempts.best()), (None, Some(1)));
     }
 

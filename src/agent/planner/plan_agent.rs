@@ -168,7 +168,7 @@ impl LanguageAgent for PlanAgent {
             && takes_best
         {
             let extended = state.builder.extend(active, seen)?;
-            attempts.rival = Some(judge.reflect(&extended, threshold)?.expected_score());
+            attempts.rival = Some(judge.reflect(&extended, threshold)?.behaviors.expected);
         }
         Ok(attempts)
     }

@@ -2,13 +2,11 @@
 //! traffic may be good where that traffic yields, and one that passes may meet somebody who insists.
 
 use planagent_score::pdm::{Forecast, ForecastObject};
+use planagent_world::TrackToken;
+use planagent_world::dynamics::IDM_AGENT;
 use planagent_world::geometry::{Polyline, wrap_angle};
+use std::collections::BTreeSet;
 
-/// Braking of a vehicle that yields, m/s²: that of nuPlan's reactive agents (`IDMAgents`,
-/// `decel_max`).
-const YIELDS: f64 = -2.0;
-/// Acceleration of a vehicle that insists, m/s²: that of nuPlan's reactive agents (`accel_max`).
-const INSISTS: f64 = 1.0;
 /// A vehicle nearer to the line of the ego's way drives along it, if its direction is that line's,
 /// meters. Half a lane.
 const BESIDE: f64 = 1.75;
@@ -16,8 +14,8 @@ const BESIDE: f64 = 1.75;
 /// radians.
 const ALONG: f64 = 0.5;
 
-/// The score of a plan where the vehicles and bicycles beside the ego's way behave otherwise than
-/// forecast. [`ReflectionReport::score`](super::ReflectionReport) is where they keep their course.
+/// The score of a plan where the vehicles and bicycles beside the ego's way do not drive as
+/// forecast.
 #[derive(
     Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
 )]
@@ -26,18 +24,25 @@ pub struct BehaviorScores {
     pub yields: f64,
     /// Where they accelerate from now on.
     pub insists: f64,
+    /// The mean by which refused plans are compared: that they keep their course counts as much as
+    /// both others together.
+    /// Why: docs/decisions/153-refused-under-three-behaviors.md.
+    pub expected: f64,
 }
 
 impl BehaviorScores {
-    /// The mean score over what crossing traffic may do, of a plan that scores `keeps` where it keeps
-    /// its course. That counts as much as that it yields or insists.
-    /// Why: docs/decisions/153-refused-under-three-behaviors.md.
-    pub fn expected_beside(&self, keeps: f64) -> f64 {
-        keeps / 2.0 + (self.yields + self.insists) / 4.0
+    /// Of a plan that scores `keeps` where they keep their course.
+    pub fn new(keeps: f64, yields: f64, insists: f64) -> Self {
+        Self {
+            yields,
+            insists,
+            expected: keeps / 2.0 + (yields + insists) / 4.0,
+        }
     }
 }
 
-/// The forecasts of the other behaviors.
+/// The forecasts of the other behaviors. Vehicles brake and accelerate as much as nuPlan's reactive
+/// agents do at most.
 pub(super) struct Behaviors {
     pub(super) yields: Forecast,
     pub(super) insists: Forecast,
@@ -46,24 +51,30 @@ pub(super) struct Behaviors {
 impl Behaviors {
     /// Of a forecast, for an ego whose way is `line`.
     pub(super) fn from_forecast(forecast: &Forecast, line: &Polyline) -> Self {
-        let crosses = |object: &ForecastObject| {
+        let is_beside = |object: &&ForecastObject| {
             let at = line.project(object.track.shape.center.position());
             let direction = object.velocity.y.atan2(object.velocity.x);
             let turned = wrap_angle(direction - at.heading).abs();
             at.lateral.abs() > BESIDE || turned > ALONG
         };
+        let beside = forecast.objects().iter().filter(is_beside);
+        let tokens: BTreeSet<TrackToken> = beside.map(|object| object.track.token).collect();
+        let accelerated = |acceleration| {
+            let is_one = |object: &ForecastObject| tokens.contains(&object.track.token);
+            forecast.clone().accelerated(acceleration, is_one)
+        };
         Self {
-            yields: forecast.clone().accelerated(YIELDS, crosses),
-            insists: forecast.clone().accelerated(INSISTS, crosses),
+            yields: accelerated(-IDM_AGENT.decel_max),
+            insists: accelerated(IDM_AGENT.accel_max),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
-    use crate::reflection::{Judge, LeadPolicy, PlanBuilder, Ride};
-    use planagent_score::pdm::PdmMemory;
+    use crate::environment::CenterlineName;
+    use crate::reflection::Ride;
+    use crate::reflection::test_reports::judged_beside;
     use planagent_world::Scene;
     use std::f64::consts::FRAC_PI_2;
 
@@ -73,29 +84,10 @@ mod tests {
         let scene = Scene::builder()
             .lanes(1, [[-50.0, 0.0], [150.0, 0.0]])
             .ego([0.0, 0.0], 0.0, 8.0)
-            .vehicle(at, heading, speed)
-            .build()
-            .unwrap();
-        let view = scene.view();
-        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
-        let builder = PlanBuilder {
-            lead_policy: LeadPolicy::Nearest,
-            ride: Ride::Idm,
-            horizon_s: 4.0,
-        };
-        let plan = builder
-            .at_limit(GraphedScene::new(&view, &graph), CenterlineName::EgoLane)
-            .unwrap()
-            .unwrap();
-        let report = Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())
-            .unwrap()
-            .reflect(&plan, 0.75)
-            .unwrap();
-        [
-            report.score,
-            report.behaviors.yields,
-            report.behaviors.insists,
-        ]
+            .vehicle(at, heading, speed);
+        let report = judged_beside(scene, CenterlineName::EgoLane, (Ride::Idm, Ride::Idm));
+        let behaviors = report.behaviors;
+        [report.score, behaviors.yields, behaviors.insists]
     }
 
     #[test]

@@ -166,17 +166,13 @@ impl<'a> Judge<'a> {
         let (instant, steps) = (observe(scene, memory), steps_of(horizon_s));
         let centerline = graph.ego_lane().path.centerline.clone();
         let reference = ProgressReference::OwnProgress;
-        let (proposals, rivals) = (Vec::new(), Reach::default());
-        Ok(Self {
+        Ok(Self::observing(
             scene,
-            behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
             instant,
             centerline,
             steps,
-            proposals,
-            rivals,
-            reference,
-        })
+            (Vec::new(), reference),
+        ))
     }
 
     /// As [`Self::new`], along a given reference path. What the ego touches now is added to
@@ -204,21 +200,10 @@ impl<'a> Judge<'a> {
             .iter()
             .zip(&simulated)
             .map(|(score, states)| Reach::of_rival(score, states));
-        let proposals: Vec<Reach> = reaches.collect();
-        let (rivals, reference) = (
-            Reach::best(proposals.iter().copied()),
-            ProgressReference::PdmProposals,
-        );
-        Ok(Self {
-            scene,
-            behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
-            instant,
-            centerline,
-            steps,
-            proposals,
-            rivals,
-            reference,
-        })
+        let proposals = (reaches.collect(), ProgressReference::PdmProposals);
+        Ok(Self::observing(
+            scene, instant, centerline, steps, proposals,
+        ))
     }
 
     /// Along a given reference path, compared with versions of a plan at the limit in the ego's
@@ -231,16 +216,34 @@ impl<'a> Judge<'a> {
         let instant = observe_along(reference_path, compared.scene, collided);
         let centerline = reference_path.centerline().line().clone();
         let proposals = compared.versions_at_limit(&instant.scoring(&centerline, 0.0))?;
-        Ok(Self {
-            scene: compared.scene,
+        let proposals = (proposals, ProgressReference::PdmProposals);
+        Ok(Self::observing(
+            compared.scene,
+            instant,
+            centerline,
+            compared.steps,
+            proposals,
+        ))
+    }
+
+    /// Of an instant, with progress along a line, beside these proposals.
+    fn observing(
+        scene: &'a SceneView<'a>,
+        instant: PdmInstant<'a>,
+        centerline: Polyline,
+        steps: usize,
+        (proposals, reference): (Vec<Reach>, ProgressReference),
+    ) -> Self {
+        Self {
+            scene,
             behaviors: Behaviors::from_forecast(&instant.forecast, &centerline),
             instant,
             centerline,
-            steps: compared.steps,
+            steps,
             rivals: Reach::best(proposals.iter().copied()),
             proposals,
-            reference: ProgressReference::PdmProposals,
-        })
+            reference,
+        }
     }
 
     /// Compares progress with what plans at the limit could reach, too. Where a plan stops early
@@ -326,10 +329,11 @@ impl<'a> Judge<'a> {
         let under = |forecast| -> Result<f64, MetricError> {
             Ok(self.score(&batch, plan, forecast)?.total)
         };
-        let behaviors = BehaviorScores {
-            yields: under(&self.behaviors.yields)?,
-            insists: under(&self.behaviors.insists)?,
-        };
+        let behaviors = BehaviorScores::new(
+            score.total,
+            under(&self.behaviors.yields)?,
+            under(&self.behaviors.insists)?,
+        );
         let [states] = batch;
         let verdict = if score.total >= threshold {
             Verdict::Execute

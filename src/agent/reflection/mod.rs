@@ -15,6 +15,8 @@ mod ride;
 mod road;
 mod rollout;
 mod shift;
+#[cfg(test)]
+mod test_reports;
 
 pub use behavior::BehaviorScores;
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};

@@ -159,9 +159,8 @@ fn rivals(scores: &[ProposalScore], simulated: &[Vec<EgoState>]) -> impl Iterato
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::DEFAULT_NODE_LENGTH;
-    use crate::reflection::{Judge, ProgressReference, ReflectionReport};
-    use planagent_score::pdm::PdmMemory;
+    use crate::reflection::test_reports::judged_beside;
+    use crate::reflection::{ProgressReference, ReflectionReport};
     use planagent_world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
 
     /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x =
@@ -173,30 +172,6 @@ mod tests {
     /// The report on a code at the limit on a lane.
     fn judged(scene: SceneBuilder, centerline: CenterlineName) -> ReflectionReport {
         judged_beside(scene, centerline, (Ride::Idm, Ride::Idm))
-    }
-
-    /// As [`judged`], of a plan with one ride, beside rivals with another.
-    fn judged_beside(
-        scene: SceneBuilder,
-        centerline: CenterlineName,
-        (ride, of_rivals): (Ride, Ride),
-    ) -> ReflectionReport {
-        let scene = scene.build().unwrap();
-        let view = scene.view();
-        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
-        let builder = PlanBuilder {
-            lead_policy: LeadPolicy::Nearest,
-            ride,
-            horizon_s: 4.0,
-        };
-        let plan = builder
-            .at_limit(GraphedScene::new(&view, &graph), centerline)
-            .unwrap()
-            .unwrap();
-        Judge::of_plans(&view, &graph, (of_rivals, 4.0), &mut PdmMemory::default())
-            .unwrap()
-            .reflect(&plan, 0.75)
-            .unwrap()
     }
 
     #[test]

@@ -86,7 +86,7 @@ pub struct ReflectionReport {
     pub score: f64,
     /// The parts of the score.
     pub parts: SubScores,
-    /// The score where crossing traffic does not keep its course.
+    /// The score where crossing traffic does not keep its course, and the mean of all.
     pub behaviors: BehaviorScores,
     /// How progress was normalised.
     pub progress_reference: ProgressReference,
@@ -104,11 +104,4 @@ pub struct ReflectionReport {
     pub first_ttc_s: Option<f64>,
     /// The simulated states, every 0.1 s, the present one first.
     pub states: Vec<EgoState>,
-}
-
-impl ReflectionReport {
-    /// The mean score over what crossing traffic may do ([`BehaviorScores::expected_beside`]).
-    pub fn expected_score(&self) -> f64 {
-        self.behaviors.expected_beside(self.score)
-    }
 }

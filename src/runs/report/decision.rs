@@ -3,7 +3,7 @@
 use super::call_record::{CallRecord, DecisionRecord, ReflectionRecord};
 use super::number::fixed;
 use planagent_agent::planner::{Attempt, Decision, NoPlan, PlanningCall};
-use planagent_agent::reflection::{BehaviorScores, ReflectionReport, SubScores, Verdict};
+use planagent_agent::reflection::{ReflectionReport, SubScores, Verdict};
 
 /// Whether Reflection refused every attempt of a call.
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
@@ -95,16 +95,17 @@ impl RefusedScore {
     fn from_report(report: &ReflectionReport) -> Self {
         Self {
             score: report.score,
-            expected: report.expected_score(),
+            expected: report.behaviors.expected,
         }
     }
 
     /// Runs of before version 24 compare by the score alone.
     fn from_record(record: &ReflectionRecord) -> Self {
-        let expected = |behaviors: BehaviorScores| behaviors.expected_beside(record.score);
         Self {
             score: record.score,
-            expected: record.behaviors.map_or(record.score, expected),
+            expected: record
+                .behaviors
+                .map_or(record.score, |others| others.expected),
         }
     }
 }
@@ -217,7 +218,7 @@ mod tests {
     use planagent_agent::environment::CenterlineName;
     use planagent_agent::planner::Unreadable;
     use planagent_agent::reasoning::PlannerCode;
-    use planagent_agent::reflection::ProgressReference;
+    use planagent_agent::reflection::{BehaviorScores, ProgressReference};
     use planagent_score::pdm::DrivableLayers;
 
     const CODE: PlannerCode = PlannerCode {
@@ -242,10 +243,7 @@ mod tests {
         ReflectionReport {
             score,
             parts,
-            behaviors: BehaviorScores {
-                yields: score,
-                insists: score,
-            },
+            behaviors: BehaviorScores::new(score, score, score),
             progress_reference,
             drivable_layers,
             threshold: 0.75,
@@ -285,7 +283,7 @@ mod tests {
         );
         let mut yields = call(Decision::Exhausted(1), &[Some(0.1), Some(0.0), Some(0.0)]);
         if let Some(report) = &mut yields.attempts[1].reflection {
-            report.behaviors.yields = 0.9;
+            report.behaviors = BehaviorScores::new(0.0, 0.9, 0.0);
         }
         assert!(
             decision_words(&yields).ends_with("it scores most over what crossing traffic may do"),

@@ -224,10 +224,7 @@ mod tests {
         ReflectionReport {
             score,
             parts,
-            behaviors: BehaviorScores {
-                yields: score,
-                insists: score,
-            },
+            behaviors: BehaviorScores::new(score, score, score),
             progress_reference: ProgressReference::PdmProposals,
             drivable_layers: DrivableLayers::Lanes,
             threshold: 0.75,

@@ -176,7 +176,9 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             let scores = proposal.reflection.as_ref().map_or_else(
                 || "- | - | -".to_owned(),
                 |report| {
-                    let BehaviorScores { yields, insists } = report.behaviors;
+                    let BehaviorScores {
+                        yields, insists, ..
+                    } = report.behaviors;
                     [report.score, yields, insists]
                         .map(|score| fixed(score, 2))
                         .join(" | ")
@@ -207,7 +209,9 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             .iter()
             .map(|(name, v)| format!("{name} {}", fixed(*v, 2)))
             .collect();
-        let BehaviorScores { yields, insists } = reflection.behaviors;
+        let BehaviorScores {
+            yields, insists, ..
+        } = reflection.behaviors;
         let [score, yields, insists] =
             [reflection.score, yields, insists].map(|score| fixed(score, 2));
         let others = if yields == score && insists == score {

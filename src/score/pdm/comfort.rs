@@ -154,6 +154,16 @@ mod tests {
     use crate::metrics::{differentiated, smoothed};
 
     #[test]
+    fn the_filters_of_each_length_are_made_once() {
+        for states in [41, 81] {
+            let [first, second] = [(); 2].map(|()| Filters::of_length(states).unwrap());
+            assert!(Arc::ptr_eq(&first, &second), "{states}");
+            assert_eq!(first.smooth.rows.len(), states);
+        }
+        assert!(Filters::of_length(3).is_err());
+    }
+
+    #[test]
     fn the_weights_are_those_of_the_general_filter() {
         let values: Vec<f64> = (0..41).map(|i| (f64::from(i) * 0.37).sin() * 3.0).collect();
         let filters = Filters::new(41).unwrap();

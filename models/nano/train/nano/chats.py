@@ -13,13 +13,16 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from PIL import Image
 from transformers import AutoConfig, AutoModelForCausalLM, AutoModelForImageTextToText, AutoProcessor, AutoTokenizer
 
 from .evaluate import CODE, markdown, other_images, score
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 #: The place of a picture in a prompt of the dataset.
 PLACE = "<image>\n"
@@ -75,6 +78,14 @@ class Reader:
             shown = self.processor.image_token * side**2 + "\n"
         return self.tokenizer(text.replace(PLACE, shown), add_special_tokens=False)["input_ids"]
 
+    def check_pieces(self, state: State) -> None:
+        """Values are asked for as tokens of their own, so those of the whole chat must be the same."""
+        values = [state.labels[question] for question in state.questions] + [""]
+        pieces = [self.ids(text) + self.ids(value) for text, value in zip(state.texts, values, strict=True)]
+        whole = "".join(text + value for text, value in zip(state.texts, values, strict=True))
+        if self.ids(whole) != sum(pieces, []):
+            raise ValueError("this tokenizer joins values with the text beside them, so they cannot be asked for one by one")
+
     def pixels(self, picture: Image.Image) -> torch.Tensor:
         """The picture as the vision tower takes it, (1, 3, height, width)."""
         return self.processor.image_processor([picture], return_tensors="pt")["pixel_values"].to(self.model.dtype)
@@ -123,11 +134,11 @@ class Reader:
         return CODE.fullmatch(self.tokenizer.decode(out[0, ids.shape[1] :], skip_special_tokens=True).strip()) is not None
 
 
-def states(data: Path, split: str, tokenizer, limit: int | None = None) -> list[State]:
+def states(data: Path, split: str, tokenizer) -> list[State]:
     """The chats of a split, in the order of its files."""
     lines = [line for file in sorted((data / "messages" / split).glob("*.jsonl")) for line in file.read_text().splitlines()]
     found = []
-    for line in lines[:limit]:
+    for line in lines:
         row = json.loads(line)
         labels, questions, turns = {}, [], []
         answers = iter(ROUNDS)
@@ -163,6 +174,17 @@ def without_scene(texts: list[str]) -> list[str]:
     return [opening + place + line[1:] + rest, *texts[1:]]
 
 
+def ways_to_show(reader: Reader, row: State, other: State) -> dict[str, tuple[list[str], Image.Image | None]]:
+    """The texts and the picture of a state: as they are and, where the model sees, under each control of the report."""
+    if reader.processor is None:
+        return {"both": (row.texts, None)}
+    from PIL import Image
+
+    own, others = (Image.open(state.picture).convert("RGB") for state in (row, other))
+    blank = Image.new("RGB", own.size, tuple(round(255 * value) for value in reader.processor.image_processor.image_mean))
+    return {"both": (row.texts, own), "shuffled": (row.texts, others), "text": (row.texts, blank), "picture": (without_scene(row.texts), own)}
+
+
 def run(model: str, adapter: Path | None, data: Path, out: Path, count: int, dtype: str, threads: int) -> dict:
     """Asks `count` validation states and writes `evaluation.json` and `evaluation.md`."""
     start = time.monotonic()
@@ -178,21 +200,17 @@ def run(model: str, adapter: Path | None, data: Path, out: Path, count: int, dty
     rows = [every[i] for i in np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).astype(int))]
     scenes = [json.loads(row.name)["scenario"] for row in rows]
     others = other_images([f"{scene}@{i}" for i, scene in enumerate(scenes)])
-    sees = reader.processor is not None
     kept = out / "answers.jsonl"
     asked = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     if [a["state"] for a in asked] != [row.name for row in rows[: len(asked)]]:
         raise ValueError(f"{kept} has answers at other states; name an empty --out")
     with kept.open("a") as file:
         for at in range(len(asked), len(rows)):
-            row, other = rows[at], rows[others[at]]
-            own = Image.open(row.picture).convert("RGB") if sees else None
-            shown = {"both": (row.texts, own)}
-            if sees:
-                blank = Image.new("RGB", own.size, tuple(round(255 * value) for value in reader.processor.image_processor.image_mean))
-                shown |= {"shuffled": (row.texts, Image.open(other.picture).convert("RGB")), "text": (row.texts, blank), "picture": (without_scene(row.texts), own)}
+            row = rows[at]
+            reader.check_pieces(row)
+            shown = ways_to_show(reader, row, rows[others[at]])
             record = {"state": row.name, **{how: reader.answers(row, texts, picture, values) for how, (texts, picture) in shown.items()}}
-            record["valid_code"] = reader.writes_code(row, own)
+            record["valid_code"] = reader.writes_code(row, shown["both"][1])
             asked.append(record)
             file.write(json.dumps(record) + "\n")
             file.flush()

@@ -60,11 +60,6 @@ function decisionWords(call, run) {
     brakes ? `The emergency brake acted in ${counted(brakes, "step")}.` : null].filter(Boolean).join(" ");
 }
 
-/** The mean score over what crossing traffic may do; runs of before version 24 have the score alone. */
-function expectedScore({ score, behaviors }) {
-  return behaviors ? score / 2 + (behaviors.yields + behaviors.insists) / 4 : score;
-}
-
 /** The refused attempt that is executed, and why. */
 function refusedWords({ decision, attempts }, run) {
   const number = decision.attempt + 1;
@@ -75,7 +70,7 @@ function refusedWords({ decision, attempts }, run) {
   const oneCode = attempts.length > 1 && first.code && attempts.every(({ code }) => code?.text === first.code.text);
   const same = oneCode ? `All ${attempts.length} attempts have the same code. ` : "";
   const why = attempts.length === 1 || oneCode ? "there is no better plan" : run.after_max_exec === "last" ? "it is the last one"
-    : isBest(({ score }) => score) ? "no other attempt scores more" : isBest(expectedScore) ? "it scores most over what crossing traffic may do" : "it is the last one";
+    : isBest(({ score }) => score) ? "no other attempt scores more" : isBest(({ score, behaviors }) => behaviors?.expected ?? score) ? "it scores most over what crossing traffic may do" : "it is the last one";
   const monitored = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
   return `${same}${is} is executed all the same, because ${why}.${monitored}`;
 }

@@ -129,7 +129,7 @@ function errorWords(error) {
 
 /** The score of a plan where crossing traffic does not keep its course; nothing where that changes no score. */
 function showBehaviors({ score, behaviors }) {
-  if (!behaviors || Object.values(behaviors).every((other) => fixed(other, 2) === fixed(score, 2))) return null;
+  if (!behaviors || [behaviors.yields, behaviors.insists].every((other) => fixed(other, 2) === fixed(score, 2))) return null;
   return h("p", { class: "behaviors" }, `if crossing traffic yields ${fixed(behaviors.yields, 2)}, if it insists ${fixed(behaviors.insists, 2)}`);
 }
 
