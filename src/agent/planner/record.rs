@@ -84,7 +84,7 @@ pub enum NoPlan {
     Unreadable(Unreadable),
     /// PDM-Closed's own proposal scores no less than any answer.
     Outscored,
-    /// All attempts were refused, and the active plan scores more than each of them.
+    /// All attempts were refused, and the active plan is better than each of them.
     Worse,
     /// The call was ended by its deadline or by a failure of the model.
     Interrupted(Interruption),
@@ -121,7 +121,7 @@ impl fmt::Display for NoPlan {
             Self::Outscored => {
                 f.write_str("PDM-Closed's own proposal scores no less than any answer")
             }
-            Self::Worse => f.write_str("the active plan scores more than all attempts"),
+            Self::Worse => f.write_str("the active plan is better than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => {
                 f.write_str(why)

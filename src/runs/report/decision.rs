@@ -140,7 +140,7 @@ impl Refused<'_> {
             }
             DecisionRecord::KeepActivePlan { cause, .. } if all_refused(cause) => {
                 format!(
-                    "{}; the active plan is kept, because it scores more than each of them",
+                    "{}; the active plan is kept, because it is better than each of them",
                     self.refusals()
                 )
             }
@@ -185,18 +185,21 @@ impl Refused<'_> {
     /// The refused attempt that is executed, and why.
     fn instead(&self, index: usize, keeps_lane: bool) -> String {
         let own = self.scores.get(index).copied().flatten();
-        let is_best = |of: fn(&RefusedScore) -> f64| {
-            own.is_some_and(|own| self.scores.iter().flatten().all(|one| of(one) <= of(&own)))
+        let among = |is: fn(&RefusedScore, &RefusedScore) -> bool| {
+            own.is_some_and(|own| self.scores.iter().flatten().any(|one| is(one, &own)))
         };
+        let is_best = own.is_some() && !among(|one, own| one.expected > own.expected);
+        // Whether the mean decided between this attempt and one that scores no less.
+        let by_mean = among(|one, own| one.score >= own.score && one.expected < own.expected);
         let score = own
             .map(|own| format!(" (score {})", fixed(own.score, 2)))
             .unwrap_or_default();
         let why = if self.one_code || self.scores.len() == 1 {
             "there is no better plan"
-        } else if is_best(|one| one.score) {
-            "no other attempt scores more"
-        } else if is_best(|one| one.expected) {
+        } else if is_best && by_mean {
             "it scores most over what crossing traffic may do"
+        } else if is_best {
+            "no other attempt scores more"
         } else {
             "it is the last one"
         };
@@ -285,9 +288,17 @@ mod tests {
         if let Some(report) = &mut yields.attempts[1].reflection {
             report.behaviors = BehaviorScores::new(0.0, 0.9, 0.0);
         }
+        let by_mean = "it scores most over what crossing traffic may do";
         assert!(
-            decision_words(&yields).ends_with("it scores most over what crossing traffic may do"),
+            decision_words(&yields).ends_with(by_mean),
             "{}",
+            decision_words(&yields)
+        );
+        yields.attempts.remove(0);
+        yields.decision = Decision::Exhausted(0);
+        assert!(
+            decision_words(&yields).ends_with(by_mean),
+            "equal scores: {}",
             decision_words(&yields)
         );
         let mut same = best.clone();
@@ -320,7 +331,7 @@ mod tests {
         ));
         assert_eq!(
             kept,
-            "of 2 attempts, 1 refused and 1 without a plan; the active plan is kept, because it scores more than each of them"
+            "of 2 attempts, 1 refused and 1 without a plan; the active plan is kept, because it is better than each of them"
         );
         let one = decision_words(&call(Decision::Exhausted(0), &[Some(0.0)]));
         assert!(

@@ -47,7 +47,7 @@ function decisionWords(call, run) {
   const words = {
     execute: () => `Attempt ${decision.attempt + 1} is executed.`,
     exhausted: () => refusedWords(call, run),
-    keep_active_plan: () => (decision.cause === "worse" ? "The active plan is kept, because it scores more than each attempt." : `The active plan is kept: ${decision.why}.`),
+    keep_active_plan: () => (decision.cause === "worse" ? "The active plan is kept, because it is better than each attempt." : `The active plan is kept: ${decision.why}.`),
     brake: () => `The ego brakes: ${decision.why}.`,
     gated: () => "The call was skipped; PDM-Closed plans.",
     rule_based: () => (decision.cause === "outscored" ? "PDM-Closed plans, because its own proposal scores no less." : `PDM-Closed plans: ${decision.why}.`),
@@ -63,14 +63,17 @@ function decisionWords(call, run) {
 /** The refused attempt that is executed, and why. */
 function refusedWords({ decision, attempts }, run) {
   const number = decision.attempt + 1;
-  const own = attempts[decision.attempt].reflection?.score ?? null;
-  const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${fixed(own, 2)},`;
-  const isBest = (of) => own !== null && attempts.every(({ reflection }) => !reflection || of(reflection) <= of(attempts[decision.attempt].reflection));
+  const chosen = attempts[decision.attempt].reflection;
+  const is = chosen ? `Attempt ${number}, with ${fixed(chosen.score, 2)},` : `Attempt ${number}`;
+  const expected = ({ score, behaviors }) => behaviors?.expected ?? score;
+  const among = (is) => chosen && attempts.some(({ reflection }) => reflection && is(reflection));
+  const isBest = chosen && !among((one) => expected(one) > expected(chosen));
+  const byMean = among((one) => one.score >= chosen.score && expected(one) < expected(chosen));
   const [first] = attempts;
   const oneCode = attempts.length > 1 && first.code && attempts.every(({ code }) => code?.text === first.code.text);
   const same = oneCode ? `All ${attempts.length} attempts have the same code. ` : "";
-  const why = attempts.length === 1 || oneCode ? "there is no better plan" : run.after_max_exec === "last" ? "it is the last one"
-    : isBest(({ score }) => score) ? "no other attempt scores more" : isBest(({ score, behaviors }) => behaviors?.expected ?? score) ? "it scores most over what crossing traffic may do" : "it is the last one";
+  const why = attempts.length === 1 || oneCode ? "there is no better plan" : run.after_max_exec === "last" || !isBest ? "it is the last one"
+    : byMean ? "it scores most over what crossing traffic may do" : "no other attempt scores more";
   const monitored = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
   return `${same}${is} is executed all the same, because ${why}.${monitored}`;
 }
