@@ -36,8 +36,8 @@ const SHAPES: [[usize; 2]; 6] = [
     [4096, 11_008],
     [151_936, 1024],
 ];
-/// Tokens of the prompt.
-const PROMPT: usize = 512;
+/// Tokens of a long prompt and of a short one.
+const PROMPTS: [usize; 2] = [512, 64];
 /// Bytes of the matrices of a measurement, at least: no cache holds them, as none holds a decoder.
 const BYTES: usize = 256 << 20;
 /// Time of a measurement.
@@ -122,9 +122,8 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
         )
         .unwrap()
     };
-    let (token, prompt) = (x(1, random), x(PROMPT, random));
-    let (mut product, mut plain, mut many) =
-        (Fastest(f64::MAX), Fastest(f64::MAX), Fastest(f64::MAX));
+    let token = x(1, random);
+    let (mut product, mut plain) = (Fastest(f64::MAX), Fastest(f64::MAX));
     let start = Instant::now();
     while start.elapsed() < TIME {
         product.measure(|| {
@@ -136,18 +135,22 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
             black_box(plain_read(black_box(&words)));
         });
     }
-    let start = Instant::now();
-    while start.elapsed() < TIME {
-        many.measure(|| drop(black_box(matrices[0].forward(&prompt).unwrap())));
-    }
-    let operations = (2 * outputs * inputs * PROMPT) as f64 / many.0;
+    let [long, short] = PROMPTS.map(|tokens| {
+        let (prompt, mut many) = (x(tokens, random), Fastest(f64::MAX));
+        let start = Instant::now();
+        while start.elapsed() < TIME {
+            many.measure(|| drop(black_box(matrices[0].forward(&prompt).unwrap())));
+        }
+        (2 * outputs * inputs * tokens) as f64 / many.0
+    });
     println!(
-        "| {outputs} x {inputs} | {format} | {:.1} | {:.1} | {:.2} | {:.2} | {:.0} % |",
+        "| {outputs} x {inputs} | {format} | {:.1} | {:.1} | {:.2} | {:.2} | {:.0} % | {:.0} % |",
         bytes as f64 / product.0 / 1e9,
         bytes as f64 / plain.0 / 1e9,
         plain.0 / product.0,
-        operations / 1e12,
-        100.0 * operations / peak,
+        long / 1e12,
+        100.0 * long / peak,
+        100.0 * short / peak,
     );
 }
 
@@ -163,10 +166,11 @@ fn main() {
         rayon::current_num_threads(),
         peak / 1e12
     );
+    let [long, short] = PROMPTS;
     println!(
-        "| shape | format | one token, GB/s | plain read, GB/s | ratio | {PROMPT} tokens, TOP/s | of registers |"
+        "| shape | format | one token, GB/s | plain read, GB/s | ratio | {long} tokens, TOP/s | of registers | {short} tokens, of registers |"
     );
-    println!("|---|---|---:|---:|---:|---:|---:|");
+    println!("|---|---|---:|---:|---:|---:|---:|---:|");
     // The products run in a thread of the pool, as those of the program do.
     rayon::scope(|_| {
         for shape in SHAPES {
