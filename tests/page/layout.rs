@@ -188,11 +188,18 @@ fn decisions(browser: &mut Chromium) {
         ),
         "{said}"
     );
+    let of_equals = |expected: f64| json!({"reflection": {"score": 0.0, "behaviors": {"yields": 0.0, "insists": 0.0, "expected": expected}}});
+    let by_mean = json!({"iteration": 20, "attempts": [of_equals(0.1), of_equals(0.2)], "decision": {"kind": "exhausted", "attempt": 1}, "emergency_brakes": 0});
+    let said = words(browser, by_mean);
+    assert!(
+        said.contains("because it scores most over what crossing traffic may do."),
+        "{said}"
+    );
     let kept = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "keep_active_plan", "cause": "worse", "why": ""}, "emergency_brakes": 0});
     assert_eq!(browser.value(&format!("outcomeOf({kept})")), "exhausted");
     let said = words(browser, kept);
     assert!(
-        said.starts_with("The active plan is kept, because it scores more"),
+        said.starts_with("The active plan is kept, because it is better"),
         "{said}"
     );
 
