@@ -62,6 +62,7 @@ fn a_monitored_plan_is_executed_itself_or_in_one_of_its_versions() {
         threshold: 0.75,
         emergency_brake: true,
         handover: false,
+        evasion: None,
     };
     let pedestrians = "generated/waiting_for_pedestrian_to_cross/0";
     let [unmonitored, slower, ..] = monitored_simulation(pedestrians, &monitor, 12.0);
@@ -234,6 +235,7 @@ fn a_monitored_plan_stops_only_in_danger_and_only_if_it_may() {
             threshold: 0.75,
             emergency_brake,
             handover: false,
+            evasion: None,
         };
         monitor
             .choose(&scene, &planner, &mut PdmMemory::default())

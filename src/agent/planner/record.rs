@@ -253,6 +253,8 @@ pub struct PlanningCall {
     pub handovers: usize,
     /// The iteration at which a lane change was aborted.
     pub aborted_lane_change: Option<usize>,
+    /// The iteration at which the ego last swerved into a lane beside for people or bicycles.
+    pub evasion: Option<usize>,
     /// With a latency: the iteration at which the call's plan became active; `None` where it did
     /// not.
     pub active_from: Option<usize>,
@@ -283,6 +285,7 @@ impl PlanningCall {
             emergency_brakes: 0,
             handovers: 0,
             aborted_lane_change: None,
+            evasion: None,
             active_from: None,
             environment_ms: total_ms,
             total_ms,

@@ -148,6 +148,10 @@ pub struct ReflectionSettings {
     /// less than λ and the proposal scores more.
     /// Why: docs/decisions/129-judged-handover.md.
     pub handover: bool,
+    /// Whether the ego swerves into a lane beside at a step where people or bicycles are near, the
+    /// monitored plan scores less than λ, and the same code scores the λ of lane changes there.
+    /// Why: docs/decisions/154-evade-at-once.md.
+    pub evasion: bool,
 }
 
 impl Default for ReflectionSettings {
@@ -165,6 +169,7 @@ impl Default for ReflectionSettings {
             monitoring: true,
             emergency_brake: true,
             handover: true,
+            evasion: true,
         }
     }
 }
@@ -186,6 +191,9 @@ impl ReflectionSettings {
             threshold: self.threshold,
             emergency_brake: self.emergency_brake,
             handover: self.handover,
+            evasion: self
+                .evasion
+                .then(|| self.threshold.max(self.lane_change_threshold)),
         }
     }
 
@@ -288,6 +296,7 @@ impl PlanAgentSettings {
         self.reflection.ride = Ride::Idm;
         self.reflection.further_codes = false;
         self.reflection.handover = false;
+        self.reflection.evasion = false;
         self
     }
 

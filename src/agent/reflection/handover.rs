@@ -120,6 +120,7 @@ mod tests {
             threshold,
             emergency_brake: true,
             handover,
+            evasion: None,
         };
         monitor
             .step(&view, &plan, &mut PdmMemory::default())

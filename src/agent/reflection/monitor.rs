@@ -24,6 +24,10 @@ pub struct PlanMonitor {
     /// λ and the proposal scores more.
     /// Why: docs/decisions/129-judged-handover.md.
     pub handover: bool,
+    /// What the plan of the same code in a lane beside must score for the ego to swerve there, where
+    /// people are near and its own plan scores less than λ; `None` where it does not.
+    /// Why: docs/decisions/154-evade-at-once.md.
+    pub evasion: Option<f64>,
 }
 
 /// The version that the monitor chooses.
@@ -66,7 +70,7 @@ impl MonitoredStep {
 
 impl PlanMonitor {
     /// The trajectory of the version that [`Self::choose`] chooses, or of one of PDM-Closed's
-    /// proposals ([`Self::handover`]).
+    /// proposals ([`Self::handed_over`]).
     ///
     /// # Errors
     /// When the roll-outs are too short to be scored, or the ego's state is not finite.
@@ -76,28 +80,73 @@ impl PlanMonitor {
         plan: &IdmPlan,
         memory: &mut PdmMemory,
     ) -> Result<MonitoredStep, ReflectionError> {
+        let (choice, step) = self.own_step(scene, plan, memory)?;
+        let handover = self.handed_over(scene, (plan, choice), memory)?;
+        Ok(handover.unwrap_or(step))
+    }
+
+    /// The trajectory of the version that [`Self::choose`] chooses.
+    pub(crate) fn own_step(
+        &self,
+        scene: &SceneView<'_>,
+        plan: &IdmPlan,
+        memory: &mut PdmMemory,
+    ) -> Result<(Choice, MonitoredStep), ReflectionError> {
         let choice = self.choose(scene, plan, memory)?;
-        if self.handover
-            && choice.score < self.threshold
-            && let Some(better) =
-                better_proposal(scene, (plan, choice.version), memory, self.steps)?
-        {
-            return self.hand_over(scene.ego, &better);
-        }
         let trajectory = if choice.emergency_brake {
             emergency_brake(scene.ego, TRAJECTORY_STEPS)?
         } else {
             plan.roll_out_version(choice.version, scene, TRAJECTORY_STEPS)
                 .to_trajectory(scene.ego)?
         };
-        let brakes = choice.emergency_brake || choice.version == Version::STOP;
-        Ok(MonitoredStep {
+        let step = MonitoredStep {
             trajectory,
             score: choice.score,
-            brakes,
+            brakes: choice.emergency_brake || choice.version == Version::STOP,
             is_refused: choice.is_refused,
             is_handover: false,
-        })
+        };
+        Ok((choice, step))
+    }
+
+    /// The step of the best of PDM-Closed's proposals, where the version scores less than λ and the
+    /// proposal more.
+    pub(crate) fn handed_over(
+        &self,
+        scene: &SceneView<'_>,
+        (plan, choice): (&IdmPlan, Choice),
+        memory: &mut PdmMemory,
+    ) -> Result<Option<MonitoredStep>, ReflectionError> {
+        if !self.handover || choice.score >= self.threshold {
+            return Ok(None);
+        }
+        better_proposal(scene, (plan, choice.version), memory, self.steps)?
+            .map(|better| self.hand_over(scene.ego, &better))
+            .transpose()
+    }
+
+    /// The first of these plans that scores what an evasion needs without hard braking, and its step.
+    pub(crate) fn gentlest(
+        &self,
+        scene: &SceneView<'_>,
+        swerves: Vec<IdmPlan>,
+        memory: &mut PdmMemory,
+    ) -> Result<Option<(IdmPlan, MonitoredStep)>, ReflectionError> {
+        let Some(needed) = self.evasion else {
+            return Ok(None);
+        };
+        for swerve in swerves {
+            let (_, step) = self.own_step(scene, &swerve, memory)?;
+            if !step.brakes && step.score >= needed {
+                return Ok(Some((swerve, step)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Whether something else may drive in place of a step: it brakes hard, or scores less than λ.
+    pub(crate) fn is_poor(&self, step: &MonitoredStep) -> bool {
+        step.brakes || step.score < self.threshold
     }
 
     fn hand_over(&self, ego: &EgoState, to: &Handover) -> Result<MonitoredStep, ReflectionError> {

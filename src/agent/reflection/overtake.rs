@@ -345,6 +345,7 @@ mod tests {
             threshold: 0.75,
             emergency_brake: true,
             handover: false,
+            evasion: None,
         };
         let choice = |scene: SceneBuilder| {
             let scene = scene.build().unwrap();
@@ -381,6 +382,7 @@ mod tests {
             threshold: 0.75,
             emergency_brake: true,
             handover: false,
+            evasion: None,
         };
         let scene = road(13.0, 8.0)
             .vehicle([70.0, 3.5], PI, 8.0)

@@ -101,6 +101,26 @@ impl PlanBuilder {
             .swerving(seen, self.horizon_s)
     }
 
+    /// The plans of a code that swerve into a lane, the gentlest first; none when the scene has no
+    /// such lane.
+    pub(crate) fn swerves(
+        &self,
+        seen: GraphedScene<'_>,
+        code: PlannerCode,
+        into: CenterlineName,
+    ) -> Result<Vec<IdmPlan>, GeometryError> {
+        let lead = seen.graph.lead_agent(into);
+        let code = PlannerCode {
+            centerline: into,
+            lead_agent: lead.map(|agent| agent.name),
+            ..code
+        };
+        match self.build(seen, code)? {
+            Some(plan) => plan.swerves(seen.scene, self.horizon_s),
+            None => Ok(Vec::new()),
+        }
+    }
+
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that
     /// lane already.
     pub(crate) fn back_to_ego_lane(

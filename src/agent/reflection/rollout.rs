@@ -238,14 +238,23 @@ impl IdmPlan {
         if !changes_lanes || self.ride == Ride::Idm || self.leads_past(seen) {
             return Ok(self);
         }
-        for accel in SWERVES {
-            let pace = Pace::Swerve(accel);
-            let swerving = self.clone().laid(seen.scene, horizon_s, (None, pace))?;
-            if swerving.leads_past(seen) {
-                return Ok(swerving);
-            }
-        }
-        Ok(self)
+        let mut swerves = self.swerves(seen.scene, horizon_s)?.into_iter();
+        Ok(swerves
+            .find(|swerve| swerve.leads_past(seen))
+            .unwrap_or(self))
+    }
+
+    /// The same, swerving into its lane, the gentlest first.
+    pub(super) fn swerves(
+        &self,
+        scene: &SceneView<'_>,
+        horizon_s: f64,
+    ) -> Result<Vec<Self>, GeometryError> {
+        let swerve = |accel| {
+            let onto = (None, Pace::Swerve(accel));
+            self.clone().laid(scene, horizon_s, onto)
+        };
+        SWERVES.into_iter().map(swerve).collect()
     }
 
     /// Whether the path leads past all that blocks the ego's lane and past its lead agent, if that

@@ -65,6 +65,9 @@ pub struct CallRecord {
     /// The iteration at which a lane change was aborted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub aborted_lane_change: Option<usize>,
+    /// The iteration at which the ego last swerved into a lane beside for people or bicycles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub evasion: Option<usize>,
 }
 
 /// An attempt of a planning call.
@@ -278,6 +281,7 @@ impl CallRecord {
             // Absent for zero, because most agents have no handovers.
             handovers: Some(call.handovers).filter(|&count| count > 0),
             aborted_lane_change: call.aborted_lane_change,
+            evasion: call.evasion,
         }
     }
 

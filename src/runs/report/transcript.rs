@@ -95,6 +95,13 @@ fn call_markdown(
             seconds(iteration)
         );
     }
+    if let Some(iteration) = call.evasion {
+        let _ = writeln!(
+            text,
+            "Swerved into a lane beside for a person or a bicycle at {:.1} s.\n",
+            seconds(iteration)
+        );
+    }
     if call.handovers > 0 {
         let _ = writeln!(
             text,

@@ -43,7 +43,7 @@ function outcomeOf(call) {
 
 /** What is executed after a call, and why; `run` has the settings. */
 function decisionWords(call, run) {
-  const { decision, emergency_brakes: brakes, aborted_lane_change: aborted, iteration } = call;
+  const { decision, emergency_brakes: brakes, aborted_lane_change: aborted, evasion, iteration } = call;
   const words = {
     execute: () => `Attempt ${decision.attempt + 1} is executed.`,
     exhausted: () => refusedWords(call, run),
@@ -56,6 +56,7 @@ function decisionWords(call, run) {
   return [words[decision.kind]?.() ?? decision.kind,
     kept ? "A refused plan must not begin a lane change, so the ego keeps its lane." : null,
     aborted == null || kept ? null : `Lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s.`,
+    evasion == null ? null : `The ego swerved into a lane beside for a person or a bicycle at ${(evasion / ITERATIONS_A_SECOND).toFixed(1)} s.`,
     call.handovers ? `A proposal of PDM-Closed drove in ${counted(call.handovers, "step")}, because it scored more than the plan, which scored less than the threshold.` : null,
     brakes ? `The emergency brake acted in ${counted(brakes, "step")}.` : null].filter(Boolean).join(" ");
 }
