@@ -191,14 +191,17 @@ mod tests {
 
     #[test]
     fn the_ego_swerves_for_who_steps_out_where_the_lane_beside_is_free() {
-        let walks = |scene: SceneBuilder| {
-            scene.object(ObjectKind::Pedestrian, [17.0, -5.0], FRAC_PI_2, 0.5)
+        let walks = |scene: SceneBuilder, x: f64| {
+            scene.object(ObjectKind::Pedestrian, [x, -5.5], FRAC_PI_2, 1.0)
         };
-        assert_eq!(evades(walks(free()), true), (Some(1), true));
-        assert_eq!(evades(walks(free()), false), (None, false));
-        let full = walks(free()).vehicle([6.0, 0.0], 0.0, 12.0);
+        let swerves = |&x: &f64| evades(walks(free(), x), true) == (Some(1), true);
+        let x = (14..45).map(f64::from).find(swerves).unwrap();
+        assert_eq!(evades(walks(free(), x), false), (None, false));
+        let full = (-4..4).fold(walks(free(), x), |scene, place| {
+            scene.vehicle([8.0 * f64::from(place), 0.0], 0.0, 12.0)
+        });
         assert_eq!(evades(full, true), (None, false));
-        let car = free().vehicle([19.0, -3.5], 0.0, 0.0);
+        let car = free().vehicle([x, -3.5], 0.0, 0.0);
         assert_eq!(evades(car, true), (None, false), "no person is near");
         assert_eq!(evades(free(), true), (None, false));
     }
