@@ -195,6 +195,12 @@ fn decisions(browser: &mut Chromium) {
         said.contains("because it scores most over what crossing traffic may do."),
         "{said}"
     );
+    let evaded = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "execute", "attempt": 0}, "evasion": 23, "emergency_brakes": 0});
+    let said = words(browser, evaded);
+    assert!(
+        said.ends_with("The ego swerved into a lane beside for a person or a bicycle at 2.3 s."),
+        "{said}"
+    );
     let kept = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "keep_active_plan", "cause": "worse", "why": ""}, "emergency_brakes": 0});
     assert_eq!(browser.value(&format!("outcomeOf({kept})")), "exhausted");
     let said = words(browser, kept);

@@ -133,9 +133,14 @@ impl AgentState {
         }
     }
 
+    /// The generated plan that is active, and the lane graph, where there is one.
+    pub(super) fn plan_and_graph(&self, scene: &SceneView<'_>) -> Option<(&IdmPlan, LaneGraph)> {
+        self.active_plan().zip(self.lane_graph(scene).ok())
+    }
+
     /// Extends the path of the active plan from the ego's present place, if there is a lane graph.
     pub(super) fn extend(&mut self, scene: &SceneView<'_>) -> Result<(), PlannerError> {
-        if let (Some(plan), Ok(graph)) = (self.active_plan(), self.lane_graph(scene)) {
+        if let Some((plan, graph)) = self.plan_and_graph(scene) {
             self.active = self
                 .builder
                 .extend(plan, GraphedScene::new(scene, &graph))?

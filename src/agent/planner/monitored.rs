@@ -1,5 +1,5 @@
 //! Monitoring: Reflection scores the active plan at every step and chooses the version of it that
-//! is executed.
+//! is executed, or another plan that becomes active at once.
 
 use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
@@ -34,7 +34,7 @@ impl<A: AgentLayer> Monitored<A> {
         scene: &SceneView<'_>,
     ) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
         let state = self.inner.state_mut();
-        let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else {
+        let Some((plan, graph)) = state.plan_and_graph(scene) else {
             return Ok(None);
         };
         let seen = GraphedScene::new(scene, &graph);
@@ -54,7 +54,9 @@ impl<A: AgentLayer> Monitored<A> {
         scene: &SceneView<'_>,
     ) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
         let state = self.inner.state_mut();
-        let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else {
+        let (Some(needed), Some((plan, graph))) =
+            (self.monitor.evasion, state.plan_and_graph(scene))
+        else {
             return Ok(None);
         };
         let own = &graph.ego_lane().path.lanes;
@@ -65,13 +67,22 @@ impl<A: AgentLayer> Monitored<A> {
         let (seen, code) = (GraphedScene::new(scene, &graph), plan.code);
         let mut best: Option<(IdmPlan, MonitoredStep)> = None;
         for into in [CenterlineName::LeftLane, CenterlineName::RightLane] {
-            let swerves = state.builder.swerves(seen, code, into)?;
-            if let Some(swerve) = self.monitor.gentlest(scene, swerves, &mut state.memory)?
-                && best
+            let Some(plan) = state.builder.build_in(into, seen, code)? else {
+                continue;
+            };
+            for swerve in plan.swerves(scene, state.builder.horizon_s) {
+                let swerve = swerve?;
+                let (_, step) = self.monitor.own_step(scene, &swerve, &mut state.memory)?;
+                if step.brakes || step.score < needed {
+                    continue;
+                }
+                if best
                     .as_ref()
-                    .is_none_or(|best| swerve.1.is_better_than(&best.1))
-            {
-                best = Some(swerve);
+                    .is_none_or(|(_, best)| step.is_better_than(best))
+                {
+                    best = Some((swerve, step));
+                }
+                break;
             }
         }
         Ok(best)
@@ -99,14 +110,14 @@ impl<A: AgentLayer> Monitored<A> {
             return Ok(Some((step, Instead::Evasion(aside))));
         }
         let state = self.inner.state_mut();
-        let handover = match &state.active {
-            ActivePlan::Generated(plan) => {
-                let active = (plan.as_ref(), choice);
-                self.monitor.handed_over(scene, active, &mut state.memory)?
-            }
-            ActivePlan::None | ActivePlan::PdmClosed => None,
-        };
-        let step = handover.unwrap_or(own);
+        let mut step = own;
+        if let ActivePlan::Generated(plan) = &state.active
+            && let Some(handover) =
+                self.monitor
+                    .handed_over(scene, (plan, choice), &mut state.memory)?
+        {
+            step = handover;
+        }
         if self.monitor.is_poor(&step)
             && let Some((back, instead)) = self.aborted_lane_change(scene)?
             && instead.is_better_than(&step)

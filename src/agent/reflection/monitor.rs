@@ -125,25 +125,6 @@ impl PlanMonitor {
             .transpose()
     }
 
-    /// The first of these plans that scores what an evasion needs without hard braking, and its step.
-    pub(crate) fn gentlest(
-        &self,
-        scene: &SceneView<'_>,
-        swerves: Vec<IdmPlan>,
-        memory: &mut PdmMemory,
-    ) -> Result<Option<(IdmPlan, MonitoredStep)>, ReflectionError> {
-        let Some(needed) = self.evasion else {
-            return Ok(None);
-        };
-        for swerve in swerves {
-            let (_, step) = self.own_step(scene, &swerve, memory)?;
-            if !step.brakes && step.score >= needed {
-                return Ok(Some((swerve, step)));
-            }
-        }
-        Ok(None)
-    }
-
     /// Whether something else may drive in place of a step: it brakes hard, or scores less than λ.
     pub(crate) fn is_poor(&self, step: &MonitoredStep) -> bool {
         step.brakes || step.score < self.threshold

@@ -101,24 +101,23 @@ impl PlanBuilder {
             .swerving(seen, self.horizon_s)
     }
 
-    /// The plans of a code that swerve into a lane, the gentlest first; none when the scene has no
-    /// such lane.
-    pub(crate) fn swerves(
+    /// The plan of the same code along another centerline, behind the lead agent there; `None` when
+    /// the scene has no such centerline.
+    pub(crate) fn build_in(
         &self,
+        centerline: CenterlineName,
         seen: GraphedScene<'_>,
         code: PlannerCode,
-        into: CenterlineName,
-    ) -> Result<Vec<IdmPlan>, GeometryError> {
-        let lead = seen.graph.lead_agent(into);
-        let code = PlannerCode {
-            centerline: into,
-            lead_agent: lead.map(|agent| agent.name),
-            ..code
-        };
-        match self.build(seen, code)? {
-            Some(plan) => plan.swerves(seen.scene, self.horizon_s),
-            None => Ok(Vec::new()),
-        }
+    ) -> Result<Option<IdmPlan>, GeometryError> {
+        let lead_agent = seen.graph.lead_agent(centerline).map(|agent| agent.name);
+        self.build(
+            seen,
+            PlannerCode {
+                centerline,
+                lead_agent,
+                ..code
+            },
+        )
     }
 
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that
@@ -133,15 +132,7 @@ impl PlanBuilder {
         if plan.oncoming().is_none() && own.contains(&plan.lane_now(scene)) {
             return Ok(None);
         }
-        let (centerline, lead_agent) = ego_lane(graph);
-        self.build(
-            seen,
-            PlannerCode {
-                centerline,
-                lead_agent,
-                ..plan.code
-            },
-        )
+        self.build_in(CenterlineName::EgoLane, seen, plan.code)
     }
 
     /// The plan of an ego that keeps its lane and its speed behind the lead agent.

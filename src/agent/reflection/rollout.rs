@@ -238,23 +238,25 @@ impl IdmPlan {
         if !changes_lanes || self.ride == Ride::Idm || self.leads_past(seen) {
             return Ok(self);
         }
-        let mut swerves = self.swerves(seen.scene, horizon_s)?.into_iter();
-        Ok(swerves
-            .find(|swerve| swerve.leads_past(seen))
-            .unwrap_or(self))
+        for swerve in self.swerves(seen.scene, horizon_s) {
+            let swerve = swerve?;
+            if swerve.leads_past(seen) {
+                return Ok(swerve);
+            }
+        }
+        Ok(self)
     }
 
     /// The same, swerving into its lane, the gentlest first.
-    pub(super) fn swerves(
+    pub(crate) fn swerves(
         &self,
         scene: &SceneView<'_>,
         horizon_s: f64,
-    ) -> Result<Vec<Self>, GeometryError> {
-        let swerve = |accel| {
+    ) -> impl Iterator<Item = Result<Self, GeometryError>> {
+        SWERVES.into_iter().map(move |accel| {
             let onto = (None, Pace::Swerve(accel));
             self.clone().laid(scene, horizon_s, onto)
-        };
-        SWERVES.into_iter().map(swerve).collect()
+        })
     }
 
     /// Whether the path leads past all that blocks the ego's lane and past its lead agent, if that
