@@ -82,6 +82,7 @@ impl<A: AgentLayer> Monitored<A> {
                 {
                     best = Some((swerve, step));
                 }
+                // The next ones turn harder, and no more is needed in this lane.
                 break;
             }
         }
