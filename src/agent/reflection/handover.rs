@@ -1,7 +1,8 @@
 //! PDM-Closed's proposals beside the versions of a plan, judged by the same score.
 
+use super::idm_plan::IdmPlan;
 use super::judge::{ReflectionError, observe_along, score_versions};
-use super::rollout::{IdmPlan, Rollout, Version};
+use super::rollout::{Rollout, Version};
 use planagent_score::pdm::{
     PdmMemory, ProposalScore, TRAJECTORY_STEPS, score_proposals, simulate_proposals,
 };

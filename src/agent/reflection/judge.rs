@@ -2,11 +2,12 @@
 //! docs/decisions/146-no-learned-judge.md.
 
 use super::behavior::{BehaviorScores, Behaviors};
+use super::idm_plan::IdmPlan;
 use super::overtake::OvertakeRules;
 use super::reach::{Compared, MIN_REACH, Reach, is_compared};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::ride::Ride;
-use super::rollout::{IdmPlan, Rollout, Version};
+use super::rollout::{Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{

@@ -3,6 +3,7 @@
 
 mod behavior;
 mod handover;
+mod idm_plan;
 mod judge;
 mod monitor;
 mod overtake;
@@ -19,6 +20,7 @@ mod shift;
 mod test_reports;
 
 pub use behavior::BehaviorScores;
+pub use idm_plan::{IdmPlan, LeadPolicy};
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
 pub use overtake::OvertakeRules;
@@ -26,4 +28,4 @@ pub(crate) use overtake::allowed_overtake;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use ride::Ride;
-pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};
+pub use rollout::{Rollout, Version};

@@ -1,8 +1,9 @@
 //! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
 use super::handover::{Handover, better_proposal};
+use super::idm_plan::IdmPlan;
 use super::judge::{ReflectionError, contest_of_versions, observe, verdicts};
-use super::rollout::{IdmPlan, Version};
+use super::rollout::Version;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
     Contest, PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,

@@ -1,8 +1,8 @@
 //! The rules under which a plan may pass something over the oncoming lane.
 
+use super::idm_plan::LeadPolicy;
 use super::plan_builder::PlanBuilder;
 use super::ride::Ride;
-use super::rollout::LeadPolicy;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, GraphedScene};
 use planagent_score::pdm::{FALLBACK_LIMIT, OvertakeVerdict};

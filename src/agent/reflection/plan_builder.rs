@@ -1,8 +1,8 @@
 //! Builds plans from planner codes, and from plans that stay active.
 
+use super::idm_plan::{IdmPlan, LeadPolicy};
 use super::overtake::OvertakeRules;
 use super::ride::Ride;
-use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, GraphedScene, LaneGraph};
 use crate::reasoning::PlannerCode;
 use planagent_score::pdm::FALLBACK_LIMIT;
@@ -121,7 +121,7 @@ impl PlanBuilder {
     }
 
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that
-    /// lane already.
+    /// lane already, or changes no lanes: in a junction the ego is often nearer to another lane.
     pub(crate) fn back_to_ego_lane(
         &self,
         plan: &IdmPlan,
@@ -129,7 +129,9 @@ impl PlanBuilder {
     ) -> Result<Option<IdmPlan>, GeometryError> {
         let GraphedScene { scene, graph } = seen;
         let own = &graph.ego_lane().path.lanes;
-        if plan.oncoming().is_none() && own.contains(&plan.lane_now(scene)) {
+        let changes_lanes =
+            plan.code.centerline != CenterlineName::EgoLane && !own.contains(&plan.lane_now(scene));
+        if plan.oncoming().is_none() && !changes_lanes {
             return Ok(None);
         }
         self.build_in(CenterlineName::EgoLane, seen, plan.code)

@@ -1,9 +1,10 @@
 //! What could be reached beyond the horizon of a roll-out, where something stands in the ego's way.
 
+use super::idm_plan::{IdmPlan, LeadPolicy};
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::ride::Ride;
-use super::rollout::{IdmPlan, LeadPolicy, Rollout, Version};
+use super::rollout::{Rollout, Version};
 use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene, score_proposals};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};

@@ -1,6 +1,7 @@
 //! The road of a roll-out: what the plan follows, and where it stops.
 
-use super::rollout::{IdmPlan, LEAD_REFRESH, LeadPolicy, MIN_GAP, STOP_DECEL};
+use super::idm_plan::{IdmPlan, LeadPolicy};
+use super::rollout::{LEAD_REFRESH, MIN_GAP, STOP_DECEL};
 use crate::environment::lane_graph::STANDING;
 use planagent_world::dynamics::Lead;
 use planagent_world::geometry::{Corridor, OrientedBox, Point, Polyline, Pose, Vector};

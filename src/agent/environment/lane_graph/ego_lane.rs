@@ -1,7 +1,7 @@
 //! The lane that holds the ego.
 
 use planagent_world::geometry::wrap_angle;
-use planagent_world::{LaneId, SceneView};
+use planagent_world::{LaneId, LaneKind, SceneView};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
 /// An ego this near to a lane counts as on it, meters.
@@ -23,18 +23,32 @@ pub(super) fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
         .into_iter()
         .filter(fits)
         .collect();
-    let found = map
-        .best_fit(&on_route, pose)
-        .or_else(|| map.lane_of(pose, OFF_ROAD_REACH))?;
+    let of_route = map.best_fit(&on_route, pose);
+    let found = of_route.or_else(|| map.lane_of(pose, OFF_ROAD_REACH))?;
+    let near: Vec<LaneId> = map
+        .lanes_near(pose.position(), OFF_ROAD_REACH)
+        .into_iter()
+        .filter(fits)
+        .collect();
+    // An ego that cuts a corner belongs to the lane of the route that it still touches: under it
+    // are connectors that lead elsewhere.
+    if of_route.is_none() && map[found].kind == LaneKind::Connector {
+        let footprint = scene.ego.footprint();
+        let touched: Vec<LaneId> = near
+            .iter()
+            .copied()
+            .filter(|&lane| map[lane].polygon.meets_box(&footprint))
+            .collect();
+        if let Some(lane) = map.best_fit(&touched, pose) {
+            return Some(lane);
+        }
+    }
     if turn(found) <= FRAC_PI_2 {
         return Some(found);
     }
     // An ego that passes something on a lane against traffic belongs to the lane that it left.
-    let near = map
-        .lanes_near(pose.position(), OFF_ROAD_REACH)
-        .into_iter()
-        .filter(fits);
     let left: Vec<LaneId> = near
+        .into_iter()
         .filter(|&lane| map[lane].polygon.distance_to(pose.position()) <= OFF_ROAD_REACH)
         .collect();
     map.best_fit(&left, pose).or(Some(found))

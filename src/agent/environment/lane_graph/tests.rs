@@ -249,6 +249,20 @@ fn on_a_crossing_the_route_decides_the_lane() {
 }
 
 #[test]
+fn an_ego_that_cuts_a_corner_belongs_to_the_lane_of_the_route() {
+    let (drawn, arms) = sketch::crossing(1, 0, 0.5, 5.0);
+    let (from, to) = (arms.inbound[0][0], arms.outbound[1][0]);
+    let by = drawn.between(from, to);
+    let mut drawn = drawn.route_through(&[from, by, to]);
+    let line = drawn.map[by].centerline.clone();
+    let beside = line.pose_at(line.length() / 4.0).translated(0.0, -2.2);
+    drawn.ego.rear_axle = beside.translated(-PACIFICA.rear_axle_to_center(), 0.0);
+    let straight = drawn.between(from, arms.outbound[0][0]);
+    assert_eq!(drawn.map.lane_of(beside, 0.0), Some(straight));
+    assert_eq!(graph(&drawn).node(NodePlace::Ego).unwrap().lane, by);
+}
+
+#[test]
 fn off_the_road_there_is_an_error_and_no_panic() {
     let mut drawn = sketch::straight(1, 0, 0, 5.0).put(Barrier, 5.0, 0.0, 0.0, 0.0);
     drawn.ego.rear_axle.y = 40.0;
