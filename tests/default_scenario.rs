@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 /// Seeds of the runs and of the random weights.
 const SEEDS: [u64; 3] = [0, 1, 2];
-/// Draws of random weights for each seed. One draw in thirty drives this scene well by chance, so
+/// Draws of random weights for each seed. Two draws in fifteen drive this scene well by chance, so
 /// their median counts (docs/decisions/127-default-scene.md).
 const DRAWS: u64 = 5;
 /// How much better the model is, in points of 100.

@@ -61,7 +61,7 @@ fn entry(name: &'static str, summary: &'static str, tries: Tried) -> PlannerEntr
             tries,
             code,
             reflection: parts.settings.reflection.clone(),
-            oncoming_lane: parts.settings.environment.oncoming_lane == Some(true),
+            oncoming_lane: parts.settings.environment.oncoming_lane != Some(false),
         })
     })
 }

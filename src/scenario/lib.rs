@@ -45,7 +45,7 @@ pub use split::{ExcludedToken, MissingTokens, Split};
 /// The scenario that commands take where none is named: a person steps out, and the agent has to
 /// leave the lane in time. Planner codes decide the score, so a model that reads the scene is clearly
 /// better than one that does not (docs/decisions/127-default-scene.md).
-pub const DEFAULT_SCENARIO: &str = "generated/behind_long_vehicle/5~jaywalking_pedestrian";
+pub const DEFAULT_SCENARIO: &str = "generated/traversing_pickup_dropoff/15~jaywalking_pedestrian";
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";

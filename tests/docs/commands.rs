@@ -436,7 +436,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
-        "planagent simulate --scenario SCENARIOS --challenge reactive --planner plan-agent,pdm-closed,grid-code-four --set environment.oncoming_lane=true",
+        "planagent simulate --scenario SCENARIOS --challenge reactive --planner plan-agent,pdm-closed,grid-code-four",
         HOURS,
     ),
     (

@@ -99,15 +99,14 @@ impl CodeSource {
         matches!(self, Self::Listed(list) if list.compares())
     }
 
-    /// Whether its codes may name the oncoming lane. A model's prompt set says so, unless the
-    /// settings forbid it; without a model the settings decide.
+    /// Whether its codes may name the oncoming lane: unless the settings forbid it, and where a
+    /// model's prompts have it. A planner without a model is compared with models that may.
     pub(super) fn names_oncoming_lane(&self, setting: Option<bool>) -> bool {
-        match self.prompts() {
-            Some(prompts) => {
-                prompts.forms().scene_text.names_oncoming_lane() && setting != Some(false)
-            }
-            None => setting == Some(true),
-        }
+        let allowed = setting != Some(false);
+        allowed
+            && self
+                .prompts()
+                .is_none_or(|prompts| prompts.forms().scene_text.names_oncoming_lane())
     }
 
     /// Begins a planning call of at most this many attempts, unless all codes are compared.

@@ -78,7 +78,7 @@ pub struct EnvironmentSettings {
     /// Length of a lane-graph node, meters.
     pub node_length_m: f64,
     /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt
-    /// set says.
+    /// set says, and for planners without a model that they may.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub oncoming_lane: Option<bool>,
 }
