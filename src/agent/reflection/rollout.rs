@@ -34,7 +34,9 @@ pub struct Version {
     path: usize,
     /// Its share of the desired speed.
     fraction: f64,
-    /// Whether it comes to that speed as fast as the code allows, whatever the ride.
+    /// Whether it comes to that speed, from above or below, as fast as the code allows, whatever the
+    /// ride.
+    /// Why: docs/decisions/156-brisk-versions-stay.md.
     is_brisk: bool,
 }
 
