@@ -375,8 +375,8 @@ mod tests {
         }
     }
 
-    /// The code that drives, and whether the model was asked for it, where the model waits behind a
-    /// broken-down car on the only lane of its direction.
+    /// The code that drives, and whether the source was asked for it, where the source waits behind a
+    /// broken-down car on the only lane of its direction. By default it may name the oncoming lane.
     fn waits(limit: f64, further_codes: bool, comes: bool) -> (String, bool) {
         let mut scene = Scene::builder()
             .speed_limit(limit)
@@ -388,7 +388,6 @@ mod tests {
             scene = scene.vehicle([70.0, 3.5], std::f64::consts::PI, 8.0);
         }
         let mut settings = PlanAgentSettings::default();
-        settings.environment.oncoming_lane = Some(true);
         settings.reflection.further_codes = further_codes;
         let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
         let (call, _) = called(&scene.build().unwrap(), code, settings);
