@@ -440,6 +440,8 @@ class Observation:
     ) -> Trajectory:
         """The trajectory of a planner code over 8 s, as PlanAgent drives it by its default settings.
 
+        It begins at the ego's position with the heading of its path. A trajectory through poses begins with the ego's heading.
+
         Parameters
         ----------
         centerline

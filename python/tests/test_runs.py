@@ -22,11 +22,11 @@ class Keeper:
     def plan(self, observation):
         assert observation.iteration == self.steps
         self.steps += 1
-        return observation.code(speed=self.share)
+        return observation.trajectory(as_array(observation, self.share))
 
 
-def as_array(observation):
-    return observation.code(speed=0.5).poses[1:]
+def as_array(observation, share=0.5):
+    return observation.code(speed=share).poses[1:]
 
 
 def broken(observation):

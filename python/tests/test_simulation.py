@@ -92,9 +92,22 @@ def test_a_clone_goes_its_own_way():
 
 def test_poses_and_trajectories_lead_to_the_same_place():
     one, two = planagent.Simulation(SCENE), planagent.Simulation(SCENE)
-    plan = one.observe().code()
-    assert one.step(plan).ego == two.step(plan.poses[1:]).ego
+    poses = one.observe().code().poses[1:]
+    assert one.step(one.observe().trajectory(poses)).ego == two.step(poses).ego
     assert two.reset().iteration == 0
+
+
+def test_the_plan_of_a_code_begins_at_the_ego_and_heads_along_its_path():
+    simulation = planagent.Simulation("generated/starting_left_turn/1")
+    turns = []
+    for _ in range(80):
+        observation = simulation.observe()
+        plan = observation.code()
+        first, ego = plan.poses[0], observation.ego.pose
+        assert plan.times_us[0] == observation.ego.time_us and np.array_equal(first[:2], ego[:2])
+        turns.append(abs(first[2] - ego[2]))
+        simulation.step(plan)
+    assert 0.001 < max(turns) < 0.1
 
 
 @pytest.mark.parametrize(

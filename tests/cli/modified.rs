@@ -170,3 +170,32 @@ fn each_example_names_a_scene_that_fits() {
     }
     assert!(examples >= 5, "only {examples} examples");
 }
+
+#[test]
+fn planners_without_a_model_pass_what_the_model_passes_unless_the_oncoming_lane_is_forbidden() {
+    const PLANNERS: &str =
+        "plan-agent,fixed-code,random-code,random-code-four,grid-code,grid-code-four,oracle-code";
+    let work = TempDir::new().unwrap();
+    let passing = |name: &str, more: &[&str]| {
+        let out = work.path().join(name);
+        let scene = "generated/following_lane_with_lead/4~overtake_parked_vehicle";
+        let words = [
+            "simulate",
+            "--quiet",
+            "--scenario",
+            scene,
+            "--planner",
+            PLANNERS,
+            "--out",
+            out.to_str().unwrap(),
+        ];
+        let (code, _, stderr) = run(&[&words, more].concat());
+        assert_eq!(code, 0, "{stderr}");
+        let rows = read_json(&out.join("summary.json"))["scenarios"].clone();
+        let passing = |row: &&serde_json::Value| row["score"].as_f64().unwrap() > 0.9;
+        rows.as_array().unwrap().iter().filter(passing).count()
+    };
+    assert_eq!(passing("default", &[]), PLANNERS.split(',').count());
+    let forbidden = ["--set", "environment.oncoming_lane=false"];
+    assert_eq!(passing("forbidden", &forbidden), 0);
+}

@@ -102,8 +102,7 @@ impl CodeSource {
     /// Whether its codes may name the oncoming lane: unless the settings forbid it, and where a
     /// model's prompts have it. A planner without a model is compared with models that may.
     pub(super) fn names_oncoming_lane(&self, setting: Option<bool>) -> bool {
-        let allowed = setting != Some(false);
-        allowed
+        setting != Some(false)
             && self
                 .prompts()
                 .is_none_or(|prompts| prompts.forms().scene_text.names_oncoming_lane())

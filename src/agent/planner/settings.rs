@@ -77,8 +77,8 @@ pub struct EnvironmentSettings {
     pub view_m: f64,
     /// Length of a lane-graph node, meters.
     pub node_length_m: f64,
-    /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt
-    /// set says, and for planners without a model that they may.
+    /// Whether codes may name the oncoming lane to pass what blocks the ego's. `None`: those of a
+    /// model as its prompt set says, those of no model always.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub oncoming_lane: Option<bool>,
 }
