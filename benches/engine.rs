@@ -10,7 +10,10 @@ use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
     BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, TextForm, bev,
 };
-use planagent_agent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
+use planagent_agent::planner::{
+    CodeSource, IdmPlanner, LogReplay, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
+    PlannerName,
+};
 use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder, Ride};
 use planagent_agent::simulation::{Challenge, ClosedLoop, simulate};
@@ -178,6 +181,38 @@ fn steps(c: &mut Criterion) {
     });
 }
 
+/// A step of the agent between two planning calls, which needs no model: the plan of a written code
+/// is judged beside its versions.
+fn agent_steps(c: &mut Criterion) {
+    let scenario = generate(&DEFAULT).unwrap();
+    let simulation = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
+    let base = simulation.scene();
+    let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
+    let objects = crowd(&base, &reference_path);
+    let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=10, acc=1.5, dec=3)";
+    let settings = PlanAgentSettings::default();
+    let of_paper = settings.clone().in_form_of_paper();
+    for (name, settings) in [
+        ("a step of plan-agent, 50 agents", settings),
+        ("a step of plan-agent-paper, 50 agents", of_paper),
+    ] {
+        let source = CodeSource::Written(code.to_owned());
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings).layered();
+        simulation.initialize(&mut *agent).unwrap();
+        let mut step = |iteration| {
+            let scene = SceneView {
+                objects: &objects,
+                ..base
+            };
+            agent
+                .compute_trajectory(&PlannerInput { iteration, scene })
+                .unwrap()
+        };
+        step(0);
+        c.bench_function(name, |b| b.iter(|| step(black_box(1))));
+    }
+}
+
 /// Opens a scenario in nuPlan's formats, with and without reading its map.
 fn open_scenario(c: &mut Criterion) {
     let folder = tempfile::tempdir().unwrap();
@@ -312,6 +347,7 @@ criterion_group!(
     benches,
     engine,
     steps,
+    agent_steps,
     pdm_closed,
     open_scenario,
     batch_of_rewards

@@ -158,6 +158,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "scenario/generator",
         &[
+            &["ranges"],
             &["rng"],
             &["road"],
             &["traffic"],

@@ -2,7 +2,7 @@
 
 use super::{DatasetError, Settings, Split};
 use planagent_agent::environment::TextForm;
-use planagent_scenario::generator::{self, ScenarioType, Spec, types};
+use planagent_scenario::generator::{self, Ranges, ScenarioType, Spec, types};
 use planagent_scenario::modified::ModifiedName;
 use planagent_scenario::{Scenario, ScenarioRef};
 use planagent_world::InteractionKind;
@@ -80,7 +80,7 @@ pub(crate) fn scenarios(
         // Limits are unknown in wide scenarios alone, and the second compact text says what they
         // may be.
         if has_wide && round % 2 == 1 {
-            spec.widened()
+            spec.drawn_from(Ranges::Wide)
         } else {
             spec
         }

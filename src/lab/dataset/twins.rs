@@ -20,7 +20,7 @@ use planagent_agent::reasoning::{
 use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_controls::search::{self, Candidate};
 use planagent_scenario::Scenario;
-use planagent_scenario::generator::{self, ScenarioType, Spec, types};
+use planagent_scenario::generator::{self, Ranges, ScenarioType, Spec, types};
 use planagent_scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};
 use planagent_world::SceneView;
 use std::collections::BTreeSet;
@@ -60,7 +60,7 @@ impl PairName {
         let kind = TwinKind::ALL[(number % 4) as usize];
         let base = Spec::new(TYPES[(number / 8 % 4) as usize], seed);
         let base = if may_be_wide && number / 32 % 2 == 1 {
-            base.widened()
+            base.drawn_from(Ranges::Wide)
         } else {
             base
         };

@@ -1,7 +1,7 @@
 //! Suites: named lists of generated scenarios that never change, so that results stay comparable.
 
 use super::seeds::Split as Seeds;
-use planagent_scenario::generator::{ScenarioType, Spec, types};
+use planagent_scenario::generator::{Ranges, ScenarioType, Spec, types};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -69,7 +69,7 @@ impl Suite {
         specs: || {
             each(types::nuplan14(), test_seeds(WIDE_SEEDS))
                 .into_iter()
-                .map(Spec::widened)
+                .map(|spec| spec.drawn_from(Ranges::Wide))
                 .collect()
         },
     };

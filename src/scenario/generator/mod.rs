@@ -15,6 +15,7 @@
 mod expert;
 mod log;
 pub mod prelude;
+mod ranges;
 mod reader;
 mod rng;
 mod road;
@@ -27,6 +28,7 @@ mod traffic;
 pub mod types;
 
 pub use log::{Discard, GeneratedLog};
+pub use ranges::Ranges;
 pub(crate) use reader::GeneratedReader;
 pub use scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
 pub(crate) use spec::SOURCE;
@@ -90,14 +92,20 @@ pub(crate) fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorEr
 /// Purpose of the random numbers that turn traffic seeds into seeds.
 const TRAFFIC: u64 = 1;
 
-/// Added to the seed of a type for draws from wider ranges.
+/// Added to the seed of a type for draws from wider ranges, and from still wider ones.
 const WIDE: u64 = 1_000_000;
-/// Added to the seed of a type for what a wide map leaves out.
-const MAP: u64 = 2 * WIDE;
+const WIDER: u64 = 3_000_000;
+/// Added to the seed of a type for what a recording of a map would change.
+const MAP: u64 = 2_000_000;
 
 fn rng_of(spec: &Spec, seed: u64, draw: u64) -> SeededRng {
-    let purpose = spec.scenario_type.definition().seed + draw + if spec.wide { WIDE } else { 0 };
-    SeededRng::new(seed, purpose).widened(spec.wide)
+    let of_ranges = match spec.ranges {
+        Ranges::First => 0,
+        Ranges::Wide => WIDE,
+        Ranges::Wider => WIDER,
+    };
+    let purpose = spec.scenario_type.definition().seed + draw + of_ranges;
+    SeededRng::new(seed, purpose).drawn_from(spec.ranges)
 }
 
 /// The first draw that is not discarded, and its random numbers after the draw.
@@ -152,9 +160,9 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
     let future = log.future(&mut traffic, &mut expert);
     let goal = log.frames.last().map(|frame| frame.ego.center());
     // The traffic ran on the lines as they were drawn: their vertices must not move its last bits.
-    let map = if spec.wide {
-        let mut random = SeededRng::new(spec.seed, kind.seed + MAP);
-        scene::wide::as_recorded(&roads.map, &mut random).map_err(|_| Discard::Roads)?
+    let map = if rng.is_wide() {
+        let mut random = SeededRng::new(spec.seed, kind.seed + MAP).drawn_from(spec.ranges);
+        scene::recorded_map::as_recorded(&roads.map, &mut random).map_err(|_| Discard::Roads)?
     } else {
         (*roads.map).clone().with_dense_baselines()
     };

@@ -1,5 +1,6 @@
 //! Seeded random numbers that do not depend on a library's sampling code.
 
+use super::ranges::Ranges;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -11,7 +12,7 @@ use rand_pcg::Pcg64;
 pub struct SeededRng {
     source: Pcg64,
     situation: Situation,
-    wide: bool,
+    ranges: Ranges,
 }
 
 /// The state of the stream before each draw of the situation.
@@ -38,18 +39,23 @@ impl SeededRng {
         Self {
             source,
             situation: Situation::Recorded(Vec::new()),
-            wide: false,
+            ranges: Ranges::First,
         }
     }
 
-    /// This stream for draws from wider ranges.
-    pub(crate) fn widened(self, wide: bool) -> Self {
-        Self { wide, ..self }
+    /// This stream for draws from these ranges.
+    pub(crate) fn drawn_from(self, ranges: Ranges) -> Self {
+        Self { ranges, ..self }
     }
 
-    /// True if ranges are the wider ones.
+    /// True if ranges are the wider ones, also if they are still wider.
     pub(crate) fn is_wide(&self) -> bool {
-        self.wide
+        self.ranges != Ranges::First
+    }
+
+    /// True if ranges are the still wider ones.
+    pub(crate) fn is_wider(&self) -> bool {
+        self.ranges == Ranges::Wider
     }
 
     /// This stream, with the situation that `drawn` recorded.
@@ -78,7 +84,7 @@ impl SeededRng {
             Some(source) => draw(&mut Self {
                 source,
                 situation: Situation::Recorded(Vec::new()),
-                wide: self.wide,
+                ranges: self.ranges,
             }),
         }
     }

@@ -1,6 +1,7 @@
 //! Names of generated scenarios.
 
 use super::log::Discard;
+use super::ranges::Ranges;
 use super::scenario_type::ScenarioType;
 use super::types;
 use std::fmt;
@@ -9,12 +10,9 @@ use std::str::FromStr;
 /// First part of the id of every generated scenario.
 pub(crate) const SOURCE: &str = "generated";
 
-/// Second part of the id of a scenario that is drawn from wider ranges.
-const WIDE: &str = "wide";
-
 /// Names a generated scenario and determines its every byte. Written `generated/<scenario
-/// type>/<seed>` or `generated/<scenario type>/<seed>.<traffic seed>`, with `wide/` before the type
-/// for one that is drawn from wider ranges.
+/// type>/<seed>` or `generated/<scenario type>/<seed>.<traffic seed>`, with `wide/` or `wider/` before
+/// the type for one that is drawn from wider ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Spec {
     /// Scenario type.
@@ -23,8 +21,8 @@ pub struct Spec {
     pub seed: u64,
     /// Seed of all other draws; 0 stands for the own traffic of `seed` and is not written.
     pub traffic_seed: u64,
-    /// Whether roads and traffic are drawn from the wider ranges of recordings.
-    pub wide: bool,
+    /// Ranges of roads and traffic.
+    pub ranges: Ranges,
 }
 
 /// Why there is no such generated scenario.
@@ -33,7 +31,8 @@ pub struct Spec {
 pub enum GeneratorError {
     #[error(
         "'{0}' does not name a generated scenario: expected generated/<scenario type>/<seed> or \
-        generated/<scenario type>/<seed>.<traffic seed>, both also with wide/ before the type"
+        generated/<scenario type>/<seed>.<traffic seed>, both also with wide/ or wider/ before \
+        the type"
     )]
     Form(String),
     #[error("'{0}' is not a scenario type of the generator; `planagent scenarios list` names them")]
@@ -63,7 +62,7 @@ impl Spec {
             scenario_type,
             seed,
             traffic_seed: 0,
-            wide: false,
+            ranges: Ranges::First,
         }
     }
 
@@ -76,30 +75,28 @@ impl Spec {
         }
     }
 
-    /// The scenario of the same type and seed that is drawn from wider ranges: another scenario.
+    /// The scenario of the same type and seed that is drawn from other ranges: another scenario.
     #[must_use]
-    pub const fn widened(self) -> Self {
-        Self { wide: true, ..self }
+    pub const fn drawn_from(self, ranges: Ranges) -> Self {
+        Self { ranges, ..self }
     }
 
     /// Name of the log that the scenario counts as cut from; it depends on the seed alone.
     pub fn log_name(&self) -> String {
-        if self.wide {
-            format!("{SOURCE}-{WIDE}-{}", self.seed)
-        } else {
-            format!("{SOURCE}-{}", self.seed)
+        match self.ranges.name() {
+            Some(ranges) => format!("{SOURCE}-{ranges}-{}", self.seed),
+            None => format!("{SOURCE}-{}", self.seed),
         }
     }
 }
 
 impl fmt::Display for Spec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let wide = if self.wide {
-            format!("{WIDE}/")
-        } else {
-            String::new()
-        };
-        write!(f, "{SOURCE}/{wide}{}/{}", self.scenario_type, self.seed)?;
+        write!(f, "{SOURCE}/")?;
+        if let Some(ranges) = self.ranges.name() {
+            write!(f, "{ranges}/")?;
+        }
+        write!(f, "{}/{}", self.scenario_type, self.seed)?;
         if self.traffic_seed == 0 {
             Ok(())
         } else {
@@ -115,14 +112,16 @@ impl FromStr for Spec {
         let named = id
             .strip_prefix(SOURCE)
             .and_then(|rest| rest.strip_prefix('/'));
-        let wide = named
-            .and_then(|rest| rest.strip_prefix(WIDE))
-            .and_then(|rest| rest.strip_prefix('/'));
+        let wide = Ranges::NAMED.into_iter().find_map(|ranges| {
+            let rest = named?.strip_prefix(ranges.name()?)?.strip_prefix('/')?;
+            Some((ranges, rest))
+        });
+        let rest = wide.map(|(_, rest)| rest);
         // Where the prefix is missing, the first part fails the match below, so one error covers
         // all forms.
         let mut parts = std::iter::once(SOURCE)
             .filter(|_| named.is_some())
-            .chain(wide.or(named).unwrap_or(id).split('/'));
+            .chain(rest.or(named).unwrap_or(id).split('/'));
         let (Some(SOURCE), Some(kind), Some(seed), None) =
             (parts.next(), parts.next(), parts.next(), parts.next())
         else {
@@ -149,7 +148,7 @@ impl FromStr for Spec {
             scenario_type,
             seed,
             traffic_seed,
-            wide: wide.is_some(),
+            ranges: wide.map_or(Ranges::First, |(ranges, _)| ranges),
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Puts vehicles, objects and pedestrians on the roads.
 
+use super::habits::Habits;
 use super::setting::{LEAD_IN, LanePick, LightTiming, Setting};
 use super::wide;
 use crate::generator::expert::{EXPERT, ExpertTask};
@@ -30,6 +31,7 @@ pub struct TrafficBuilder<'a, 'd> {
     /// Index of the ego's lane on the first road, 0 the leftmost.
     pub(crate) ego_lane: usize,
     pub(crate) task: ExpertTask,
+    pub(super) habits: Habits,
     tokens: u32,
 }
 
@@ -117,6 +119,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
             time: -LEAD_IN,
         };
         Some(Self {
+            habits: Habits::new(rng),
             rng,
             traffic,
             ego_lane,
@@ -178,7 +181,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
     /// Length and width of a vehicle, meters.
     fn size(&mut self, kind: VehicleKind) -> (f64, f64) {
         if self.rng.is_wide() {
-            return wide::size(self.rng, kind);
+            return wide::size(self.rng, kind, self.habits);
         }
         match kind {
             VehicleKind::Car => (self.rng.uniform(4.2, 5.3), self.rng.uniform(1.8, 2.1)),
@@ -214,10 +217,15 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
         }
-        let sideways = self
-            .rng
-            .is_wide()
-            .then(|| wide::sideways(self.rng, kind, width, self.lane_width_at(&track, s)));
+        let sideways = self.rng.is_wide().then(|| {
+            wide::sideways(
+                self.rng,
+                kind,
+                width,
+                self.lane_width_at(&track, s),
+                self.habits,
+            )
+        });
         let mover = Mover {
             token: TrackToken(0),
             kind: if kind == VehicleKind::Bicycle {

@@ -79,7 +79,7 @@ impl TrafficBuilder<'_, '_> {
             if self.rng.bool(share) {
                 let pose = line.pose_at(s).translated(0.0, -offset);
                 let (length, width) = if self.rng.is_wide() {
-                    wide::size(self.rng, VehicleKind::Car)
+                    wide::size(self.rng, VehicleKind::Car, self.habits)
                 } else {
                     (self.rng.uniform(4.2, 5.0), self.rng.uniform(1.75, 1.95))
                 };

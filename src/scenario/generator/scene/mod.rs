@@ -4,12 +4,15 @@
 //! * `setting`: roads, start of the ego, its traffic light; `builder`: vehicles, objects and
 //!   pedestrians on the roads;
 //! * `clutter`: parked cars, cyclists, pedestrians, cones; `obstacles`: what blocks the ego's lane;
-//! * `crossing`, `stream`: what several types have in common.
+//! * `crossing`, `stream`: what several types have in common;
+//! * `wide`, `habits`, `recorded_map`: wider ranges of draws, and maps as recordings have them.
 
 pub(crate) mod builder;
 mod clutter;
 pub(crate) mod crossing;
+mod habits;
 pub(crate) mod obstacles;
+pub(crate) mod recorded_map;
 pub mod setting;
 pub(crate) mod stream;
-pub(crate) mod wide;
+mod wide;

@@ -1,6 +1,6 @@
 //! Names and determinism.
 
-use super::super::{DEFAULT, GeneratorError, MAX_DRAWS, Spec, generate, types};
+use super::super::{DEFAULT, GeneratorError, MAX_DRAWS, Ranges, Spec, generate, types};
 use crate::Scenario;
 use planagent_world::LaneMap;
 use rayon::prelude::*;
@@ -30,53 +30,84 @@ fn names_read_back() {
 #[test]
 fn wide_scenarios_have_names_of_their_own() {
     let spec = Spec::new(types::changing_lane::TYPE, 3);
-    let wide = spec.widened().with_traffic_seed(12);
-    assert_eq!(wide.to_string(), "generated/wide/changing_lane/3.12");
-    assert_eq!("generated/wide/changing_lane/3.12".parse(), Ok(wide));
-    assert_eq!(
-        (spec.log_name().as_str(), wide.log_name().as_str()),
-        ("generated-3", "generated-wide-3")
-    );
+    for (ranges, id, log_name) in [
+        (Ranges::First, "generated/changing_lane/3.12", "generated-3"),
+        (
+            Ranges::Wide,
+            "generated/wide/changing_lane/3.12",
+            "generated-wide-3",
+        ),
+        (
+            Ranges::Wider,
+            "generated/wider/changing_lane/3.12",
+            "generated-wider-3",
+        ),
+    ] {
+        let of_ranges = spec.drawn_from(ranges).with_traffic_seed(12);
+        assert_eq!(of_ranges.to_string(), id);
+        assert_eq!(id.parse(), Ok(of_ranges));
+        assert_eq!(of_ranges.log_name(), log_name);
+    }
     for id in [
         "generated/wide",
         "generated/wide/3",
         "generated/wide/wide/changing_lane/3",
+        "generated/wide/wider/changing_lane/3",
+        "generated/widest/changing_lane/3",
         "wide/changing_lane/3",
+        "wider/changing_lane/3",
     ] {
         assert!(id.parse::<Spec>().is_err(), "{id}");
     }
 }
 
-#[test]
-fn wide_scenarios_differ_from_the_others_and_repeat() {
+/// One scenario of each type in the suites.
+fn of_each_type(ranges: Ranges) -> Vec<Scenario> {
     let specs: Vec<Spec> = types::in_suites()
-        .map(|kind| Spec::new(kind, 1).widened())
+        .map(|kind| Spec::new(kind, 1).drawn_from(ranges))
         .collect();
-    let scenarios: Vec<Scenario> = specs
+    specs
         .par_iter()
         .map(|spec| generate(spec).unwrap())
-        .collect();
-    let lanes = || scenarios.iter().flat_map(|scenario| scenario.map.lanes());
-    assert!(
-        lanes().any(|lane| !lane.is_connector() && lane.speed_limit.is_none()),
-        "all limits are known"
-    );
-    assert!(scenarios.iter().any(|scenario| {
-        scenario
-            .map
-            .lanes()
-            .iter()
-            .any(|lane| lane.speed_limit.is_some())
-    }));
-    for scenario in &scenarios {
-        let other: Spec = scenario.id.replace("wide/", "").parse().unwrap();
-        assert!(
-            !same_map(&scenario.map, &generate(&other).unwrap().map),
-            "{}",
-            scenario.id
-        );
+        .collect()
+}
+
+#[test]
+fn wide_scenarios_differ_from_the_others_and_repeat() {
+    let [first, wide, wider] = [Ranges::First, Ranges::Wide, Ranges::Wider].map(of_each_type);
+    for scenarios in [&wide, &wider] {
+        let lanes = || scenarios.iter().flat_map(|scenario| scenario.map.lanes());
+        let limits = || lanes().filter(|lane| !lane.is_connector());
+        assert!(limits().any(|lane| lane.speed_limit.is_none()));
+        let again: Spec = scenarios[0].id.parse().unwrap();
+        assert!(same(&scenarios[0], &generate(&again).unwrap()));
     }
-    assert!(same(&scenarios[0], &generate(&specs[0]).unwrap()));
+    assert!(
+        wide.iter()
+            .flat_map(|scenario| scenario.map.lanes())
+            .any(|lane| lane.speed_limit.is_some())
+    );
+    for ((first, wide), wider) in first.iter().zip(&wide).zip(&wider) {
+        for (one, other) in [(first, wide), (first, wider), (wide, wider)] {
+            assert!(!same_map(&one.map, &other.map), "{} {}", one.id, other.id);
+        }
+    }
+}
+
+#[test]
+fn lanes_of_wider_scenarios_still_meet() {
+    for scenario in of_each_type(Ranges::Wider) {
+        for lane in scenario.map.lanes() {
+            for next in lane.outgoing.iter().map(|&next| &scenario.map[next]) {
+                let gap = (lane.centerline.end() - next.centerline.start()).norm();
+                assert!(gap < 1e-6, "{}: {gap} m", scenario.id);
+            }
+            let (polygon, line) = (&lane.polygon, &lane.centerline);
+            let inside = |share: f64| polygon.contains(line.point_at(share * line.length()));
+            let places = [0.25, 0.5, 0.75];
+            assert!(places.into_iter().all(inside), "{}", scenario.id);
+        }
+    }
 }
 
 /// Two types with overlapping seeds would share draws.

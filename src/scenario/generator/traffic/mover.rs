@@ -111,6 +111,8 @@ pub(crate) struct Sway {
     pub(crate) frequency: f64,
     /// Radians.
     pub(crate) phase: f64,
+    /// Angle of the box to its course, radians.
+    pub(crate) skew: f64,
 }
 
 impl Sway {
@@ -226,7 +228,10 @@ impl Mover {
 
     pub(crate) fn shape(&self) -> OrientedBox {
         let ahead = self.front - self.length / 2.0;
-        OrientedBox::new(self.pose().translated(ahead, 0.0), self.length, self.width)
+        let skew = self.sway.map_or(0.0, |sway| sway.skew);
+        let center = self.pose().translated(ahead, 0.0);
+        let turned = Pose::new(center.x, center.y, wrap_angle(center.heading + skew));
+        OrientedBox::new(turned, self.length, self.width)
     }
 
     /// Velocity in the map frame, m/s.
