@@ -198,7 +198,7 @@ fn agent_steps(c: &mut Criterion) {
     ] {
         let source = CodeSource::Written(code.to_owned());
         let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings).layered();
-        simulation.initialize(&mut *agent).unwrap();
+        simulation.initialize(&mut agent).unwrap();
         let mut step = |iteration| {
             let scene = SceneView {
                 objects: &objects,
