@@ -292,6 +292,7 @@ impl Default for PlanAgentSettings {
 impl PlanAgentSettings {
     /// The same with plans in the paper's form: the plan of a code drives as its IDM says, and
     /// nothing but codes is tried.
+    #[doc(hidden)]
     pub fn in_form_of_paper(mut self) -> Self {
         self.reflection.ride = Ride::Idm;
         self.reflection.further_codes = false;
