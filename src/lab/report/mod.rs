@@ -10,9 +10,9 @@ pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigur
 pub use figure::realism_figure;
 pub use records::Records;
 pub use study::{
-    Agreement, AskedFigures, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults,
-    RecordingScores, StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults,
-    VariantResults, VariantSimulations,
+    Agreement, AskedFigures, CallShares, ChallengeResults, MetricLoss, ModelCost, Outcome,
+    RecordingResults, RecordingScores, StudyFolder, StudyResults, SuiteResults, SuiteSimulations,
+    TypeResults, VariantResults, VariantSimulations,
 };
 pub(crate) use study::{RESULTS, RESULTS_MARK, clusters};
 pub use table::{

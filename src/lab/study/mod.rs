@@ -119,6 +119,8 @@ pub enum Column {
     Tokens,
     /// Planning calls whose answers gave no plan, and those that were refused.
     NoPlan,
+    /// For each metric, what the score would gain if that metric alone were perfect.
+    Lost,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]

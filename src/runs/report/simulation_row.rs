@@ -9,7 +9,9 @@ use crate::worker::run::SimulationRecord;
 use planagent_agent::planner::{NoPlan, PlanningCall, Unreadable};
 use planagent_agent::reasoning::Interruption;
 use planagent_agent::simulation::Challenge;
-use planagent_score::metrics::{ScenarioRow, scored_metrics};
+use planagent_score::metrics::{
+    METRICS, MetricSpec, ScenarioRow, Weighting, combine, scored_metrics,
+};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::InteractionKind;
 use schemars::JsonSchema;
@@ -261,12 +263,43 @@ impl SimulationRow {
             .filter(|_| self.metric("lane_changes_to_goal").is_some())
     }
 
+    fn scored_metrics(&self) -> Vec<MetricSpec> {
+        scored_metrics(self.challenge.metric_list(), self.scored_kind())
+    }
+
     /// The names of the metrics of its score, in the order of that.
     pub fn scored(&self) -> Vec<&'static str> {
-        scored_metrics(self.challenge.metric_list(), self.scored_kind())
+        self.scored_metrics()
             .iter()
             .map(|metric| metric.name)
             .collect()
+    }
+
+    /// What the score would gain, in [0, 1], if one metric were perfect and the others as they are:
+    /// for each metric of the score, in the order of that. Empty for a failed simulation.
+    pub fn lost(&self) -> Vec<(MetricSpec, f64)> {
+        if self.score.is_none() {
+            return Vec::new();
+        }
+        let weighting = match self.scored_kind() {
+            Some(kind) => Weighting::of_kind(kind, &METRICS),
+            None => Weighting::for_list(self.challenge.metric_list()),
+        };
+        let metrics = self.scored_metrics();
+        let score = |perfect: Option<&str>| {
+            let scores = metrics.iter().map(|metric| {
+                let own = self.metric(metric.name);
+                let is_perfect = perfect == Some(metric.name);
+                (
+                    metric.name,
+                    own.map(|own| if is_perfect { 1.0 } else { own }),
+                )
+            });
+            combine(scores, &weighting)
+        };
+        let now = score(None);
+        let gain = |metric: &MetricSpec| (*metric, score(Some(metric.name)) - now);
+        metrics.iter().map(gain).collect()
     }
 
     /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The

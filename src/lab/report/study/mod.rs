@@ -4,6 +4,7 @@
 mod agreement;
 mod asked;
 mod folder;
+mod lost;
 mod recordings;
 mod results;
 #[cfg(test)]
@@ -13,6 +14,7 @@ pub use agreement::Agreement;
 pub use asked::AskedFigures;
 pub use folder::StudyFolder;
 pub(crate) use folder::{RESULTS, RESULTS_MARK};
+pub use lost::MetricLoss;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub(crate) use results::clusters;
 pub use results::{

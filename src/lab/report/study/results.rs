@@ -3,6 +3,7 @@
 
 use super::agreement::{Agreement, agreements};
 use super::asked::{AskedFigures, asks_for_figures};
+use super::lost::{MetricLoss, losses};
 use super::recordings::{CallShares, RecordingResults, recordings};
 use crate::report::ModelFigures;
 use crate::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
@@ -130,6 +131,9 @@ pub struct VariantResults {
     /// Its planning calls by what they asked and gave, if the study compares this.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub asked: Option<AskedFigures>,
+    /// What each metric costs it, if the study compares this.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lost: Vec<MetricLoss>,
     /// Cost of its model, if the study compares it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
@@ -282,6 +286,7 @@ impl ResultSource<'_> {
                 .then(|| calls as f64 / completed.count() as f64),
             calls: (self.study.rows == Rows::Recordings).then(|| CallShares::from_rows(rows)),
             asked: asks_for_figures(self.study).then(|| AskedFigures::from_rows(rows)),
+            lost: losses(self.study, rows),
             model: self
                 .study
                 .measures_models()

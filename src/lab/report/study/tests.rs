@@ -112,6 +112,69 @@ fn differences_are_paired_and_failed_simulations_do_not_count() {
     );
 }
 
+/// A simulation with these scores of metrics; the others are perfect.
+fn with_metrics(scene: usize, challenge: Challenge, scores: &[(&str, f64)]) -> SimulationRow {
+    let mut row = simulation(scene, challenge, Some(0.5));
+    let score = |name: &str| scores.iter().find(|(own, _)| *own == name);
+    row.metrics = row
+        .scored()
+        .into_iter()
+        .map(|name| MetricScore {
+            name: name.to_owned(),
+            score: Some(score(name).map_or(1.0, |(_, score)| *score)),
+        })
+        .collect();
+    row
+}
+
+#[test]
+fn a_metric_costs_what_the_score_would_gain_without_its_loss() {
+    let study = find("ceilings").unwrap();
+    let (comfort, collisions) = ("ego_is_comfortable", "no_ego_at_fault_collisions");
+    let reactive = Challenge::Reactive;
+    let variant = |rows| VariantSimulations {
+        outcome: Outcome::Simulated {
+            run: "../runs/a".to_owned(),
+            rows,
+        },
+        parameters: None,
+    };
+    let losing = variant(vec![
+        with_metrics(0, reactive, &[(comfort, 0.0)]),
+        // Behind a collision, comfort alone would gain nothing.
+        with_metrics(1, reactive, &[(comfort, 0.0), (collisions, 0.0)]),
+        with_metrics(2, reactive, &[]),
+        with_metrics(3, reactive, &[]),
+        simulation(4, reactive, None),
+    ]);
+    let perfect = variant(vec![with_metrics(0, reactive, &[])]);
+    let suites = [suite("generated-test14-hard", vec![losing, perfect])];
+    let results = StudyResults::new(&study, &suites, None, 0, &[]);
+    let lost = |metric: &str| {
+        let losses = &results.suites[0].variants[0].lost;
+        losses
+            .iter()
+            .find(|loss| loss.metric == metric)
+            .unwrap()
+            .points
+    };
+    // Comfort weighs 2 of 16.
+    assert!((lost(comfort) - 100.0 * 2.0 / 16.0 / 4.0).abs() < 1e-9);
+    assert!((lost(collisions) - 100.0 * 14.0 / 16.0 / 4.0).abs() < 1e-9);
+    assert!(lost("drivable_area_compliance").abs() < 1e-9);
+    let table = study_table(&study, &results, LineWidth::terminal(160));
+    let head = table
+        .lines()
+        .find(|line| line.contains("calls/sim"))
+        .unwrap();
+    assert!(
+        head.contains("coll R") && head.contains("comf R"),
+        "{table}"
+    );
+    assert!(!head.contains("area") && !head.contains("NR"), "{table}");
+    assert_fits(&study, &results);
+}
+
 #[test]
 fn the_tables_read_well_in_80_columns() {
     let study = find("reasoning").unwrap();

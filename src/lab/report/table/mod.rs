@@ -1,6 +1,7 @@
 //! Tables of the lab's results.
 
 mod bench;
+mod costs;
 mod realism;
 mod recordings;
 mod reported;

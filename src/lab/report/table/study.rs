@@ -1,13 +1,12 @@
 //! The tables of a study.
 
+use super::costs::{self, costs};
 use super::{recordings, reported};
 use crate::report::figure::AGREEMENT;
-use crate::report::{AskedFigures, ChallengeResults, StudyResults, SuiteResults, VariantResults};
+use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::table::{
-    LineWidth, Table, or_dash, short, signed, three_digits, weights,
-};
+use planagent_runs::report::table::{LineWidth, Table, or_dash, short, signed};
 use planagent_runs::report::{fixed, markdown_block, markdown_line, visible, visible_line};
 use planagent_runs::worker::statistics::PairedDifference;
 use std::fmt::Write as _;
@@ -240,70 +239,7 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], layout: Layout
     Table::new(headers, 1, rows)
 }
 
-/// The columns of the study beside scores; none if it has none.
-fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
-    let mut headers = study.labels.clone();
-    // Heads and cells are two matches on one list; the compiler asks for both when a column is
-    // added.
-    for column in &study.columns {
-        let heads: &[&str] = match column {
-            Column::Calls => &["calls/sim"],
-            Column::Parameters => &["params", "paper"],
-            Column::CallTime => &["ms/call p50", "paper ms"],
-            Column::Collisions => &["collisions"],
-            Column::Questions => &["questions/call"],
-            Column::Tokens => &["tokens/call"],
-            Column::NoPlan => &["unreadable %", "refused %"],
-        };
-        headers.extend(heads.iter().map(ToString::to_string));
-    }
-    let rows = rows_of(study, suite).map(|(variant, results)| {
-        let mut cells = variant.labels.clone();
-        let model = results.model.as_ref();
-        let paper = model.and_then(|model| model.paper.as_ref());
-        let asked = results.asked.as_ref().filter(|_| results.run.is_some());
-        let one_digit = |value| fixed(value, 1);
-        for column in &study.columns {
-            match column {
-                Column::Calls => cells.push(or_dash(results.calls_per_simulation, |calls| {
-                    fixed(calls, 1)
-                })),
-                Column::Collisions => {
-                    cells.push(or_dash(asked, |asked| asked.collisions.to_string()));
-                }
-                Column::Questions => {
-                    cells.push(or_dash(asked.and_then(|asked| asked.questions), one_digit));
-                }
-                Column::Tokens => {
-                    let tokens = asked.and_then(|asked| asked.tokens);
-                    cells.push(or_dash(tokens, |tokens| fixed(tokens, 0)));
-                }
-                Column::NoPlan => {
-                    let percent = |count: fn(&AskedFigures) -> usize| {
-                        let share = asked.and_then(|asked| asked.percent(count(asked)));
-                        or_dash(share, one_digit)
-                    };
-                    cells.extend([percent(|a| a.unreadable), percent(|a| a.refused)]);
-                }
-                Column::Parameters => cells.extend([
-                    or_dash(model.and_then(|model| model.parameters), weights),
-                    or_dash(
-                        paper.and_then(|paper| paper.parameters.clone()),
-                        |parameters| parameters,
-                    ),
-                ]),
-                Column::CallTime => cells.extend([
-                    or_dash(model.and_then(|model| model.call_ms), three_digits),
-                    or_dash(paper, |paper| paper.time_ms.to_string()),
-                ]),
-            }
-        }
-        cells
-    });
-    (!study.columns.is_empty()).then(|| Table::new(headers, study.labels.len(), rows))
-}
-
-fn rows_of<'a>(
+pub(super) fn rows_of<'a>(
     study: &'a Study,
     suite: &'a SuiteResults,
 ) -> impl Iterator<Item = (&'a Variant, &'a VariantResults)> {
@@ -360,6 +296,9 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
     };
     if variants().any(|(_, variant)| variant.model.as_ref().is_some_and(|model| model.benched)) {
         notes.push("Times of models that were not simulated are from a bench.".to_owned());
+    }
+    if study.columns.contains(&Column::Lost) {
+        notes.push(costs::LOST.to_owned());
     }
     notes.extend(study.remarks.iter().cloned());
     // Failures come last, closest to the prompt of the terminal.
