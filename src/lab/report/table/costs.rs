@@ -12,7 +12,7 @@ pub(super) const LOST: &str = "Columns of metrics (coll, prog, TTC, comf, ...) =
      perfect. A metric without a column costs nobody 0.05 points.";
 
 /// Metrics that cost every variant less have no column, points.
-const LEAST_LOSS: f64 = 0.05;
+const MIN_LOSS: f64 = 0.05;
 
 /// The columns of the study beside scores; none if it has none.
 pub(super) fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
@@ -94,7 +94,7 @@ fn losing(suite: &SuiteResults) -> Vec<&MetricLoss> {
     let all = || suite.variants.iter().flat_map(|variant| &variant.lost);
     let mut columns: Vec<&MetricLoss> = Vec::new();
     for loss in all() {
-        let costs = all().any(|own| own.is_of(loss) && own.points >= LEAST_LOSS);
+        let costs = all().any(|own| own.is_of(loss) && own.points >= MIN_LOSS);
         if costs && !columns.iter().any(|column| column.is_of(loss)) {
             columns.push(loss);
         }
