@@ -371,6 +371,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
+        "planagent study ceilings --suite recorded --scenario folder/of/recordings",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
         "planagent study agents --limit 2 --suite generated-test14-hard --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
         WEIGHTS,
     ),
