@@ -8,7 +8,7 @@ use planagent_runs::report::fixed;
 use planagent_runs::report::table::{Table, or_dash, short, three_digits, weights};
 
 /// What the columns of [`Column::Lost`] are.
-pub(super) const LOST: &str = "Columns of metrics (coll, prog, TTC, comf, ...) = points that the score would gain if that metric alone were \
+pub(super) const LOST_NOTE: &str = "Columns of metrics (coll, prog, TTC, comf, ...) = points that the score would gain if that metric alone were \
      perfect. Metrics without a column cost each row less than 0.05 points.";
 
 /// Metrics that cost every variant less have no column, points.

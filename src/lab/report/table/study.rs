@@ -298,7 +298,7 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
         notes.push("Times of models that were not simulated are from a bench.".to_owned());
     }
     if study.columns.contains(&Column::Lost) {
-        notes.push(costs::LOST.to_owned());
+        notes.push(costs::LOST_NOTE.to_owned());
     }
     notes.extend(study.remarks.iter().cloned());
     // Failures come last, closest to the prompt of the terminal.

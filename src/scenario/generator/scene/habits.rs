@@ -40,14 +40,14 @@ impl Habits {
         let bias = rng.sign() * 0.5 * rng.unit();
         let beyond = 0.8 * rng.unit().powi(2);
         let sway = rng.uniform(0.2, 1.2);
-        let about = rng.uniform(0.15, 0.4);
+        let spread = rng.uniform(0.15, 0.4);
         Self {
             bias,
             max_aside: 1.6,
             beyond,
             max_skew: max_skew_deg.to_radians(),
             sway,
-            car_widths: [CAR_WIDTH - about, CAR_WIDTH + about],
+            car_widths: [CAR_WIDTH - spread, CAR_WIDTH + spread],
         }
     }
 }

@@ -74,5 +74,6 @@ fn wobbling(lane: &Lane, spacing: f64, wobble: f64, rng: &mut SeededRng) -> Poly
         .map(|i| i as f64 * spacing)
         .map(|s| line.frenet_to_map(s, aside(s)))
         .chain(std::iter::once(line.end()));
+    // Its ends are those of a line, so this fails for no line; a lane is never lost.
     Polyline::new(points).unwrap_or_else(|_| line.clone())
 }
